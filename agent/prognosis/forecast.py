@@ -14,17 +14,24 @@ from agent.prognosis.change import FEWEST, change
 from agent.prognosis.family import MEMBERS, Scale, scale_of, way_left
 from agent.prognosis.history import History, blocks, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
-from agent.prognosis.passage import FARTHEST, first_passages
+from agent.prognosis.passage import FARTHEST, first_passages, newest_levels
 from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior
 from agent.prognosis.prior import Prior, Student
 from agent.prognosis.steps import find_steps, without
+from agent.prognosis.traces import Alike, alike
 from agent.types import FloatArray
 
 SPANS = 3.0
 """P90 − P10 in spans of the history from which on a history is too short to say."""
 RATIO = 4.0
 """And P90 : P10, so that what is near is not called unknown."""
+NEWEST = 3
+"""Newest means that say that a limit is crossed before any law is sought."""
+SURE = 2.0
+"""Standard deviations of these by which they must lie beyond it; else the laws say how probable that is."""
 SEED = 15
+COURSES = "like machines"
+"""Member of the family that is no law: what like machines did from the level reached."""
 
 Status = Literal["ok", "no trend", "too short", "beyond", "crossed"]
 
@@ -78,8 +85,13 @@ def forecast(
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
     found = posterior(readings, scale, prior, rng, effort)
-    passages = np.sort(first_passages(found, scale, newest, prior.later, rng, effort)) * thin.span
+    passages = first_passages(found, scale, newest, prior.later, rng, effort) * thin.span
     family = _weights(found)
+    if like is not None and scale.relative:
+        now = newest_levels(found, scale, newest, len(passages), rng)
+        kind = alike(like.traces, scale.limit, thin.t, readings.smooth, now, rng)
+        passages, family = _among(passages, family, kind, rng)
+    passages = np.sort(passages)
     if passages[len(passages) // 2] == 0.0:
         return Forecast("crossed", horizon=horizon, chance=1.0, family=family, passages=passages)
     passages = np.maximum(
@@ -88,17 +100,28 @@ def forecast(
     return _stated(passages, horizon, history.span, family, lambda: _steady(history))
 
 
+def _among(
+    passages: FloatArray, family: dict[str, float], kind: Alike | None, rng: np.random.Generator
+) -> tuple[FloatArray, dict[str, float]]:
+    """Return draws and weights of which as large a share as is probable is that of like machines."""
+    if kind is None:
+        return passages, family
+    theirs = rng.uniform(size=len(passages)) < kind.share
+    weights = {name: weight * (1.0 - kind.share) for name, weight in family.items()}
+    return np.where(theirs, kind.remains, passages), weights | {COURSES: kind.share}
+
+
 def _steady(history: History) -> bool:
     found = change(history)
     return found is None or not found.trend
 
 
 def _past_limit(readings: Readings, scale: Scale) -> bool:
-    """Tell whether the newest means lie on the limit's other side."""
-    newest = float(np.mean(readings.smooth[-3:]))
-    return (scale.limit - newest) * scale.limit <= 0.0 and (
-        scale.limit - float(readings.z[-1])
-    ) * scale.limit <= 0.0
+    """Tell whether the newest means lie on the limit's other side, by more than they may be off."""
+    newest = float(np.mean(readings.smooth[-NEWEST:]))
+    off = SURE * float(np.linalg.norm(readings.sd[-NEWEST:])) / NEWEST
+    beyond = -np.sign(scale.limit) * (scale.limit - np.array([newest - off, newest + off, readings.z[-1]]))
+    return bool((beyond >= 0.0).all())
 
 
 def _weights(found: list[Particles]) -> dict[str, float]:

@@ -6,12 +6,13 @@ to the level at the start, so a machine of another size or limit may use them.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agent.prognosis.family import Scale, bent, onward, way_gone, way_share
 from agent.prognosis.prior import Prior, Student
+from agent.prognosis.traces import Trace, trace
 from agent.types import FloatArray
 
 USUAL = {"life": 0.3, "exponent": 0.5, "wander": 0.5}
@@ -36,13 +37,14 @@ class Learnt:
 
     of: Student densities by parameter, (loc, scale, dof) each. way: what lives are counted over. later: by
     how much κ differs beyond what a history has shown, as (share of the way gone, loc, scale), the shares
-    ascending.
+    ascending. traces: each machine's course.
     """
 
     of: Mapping[str, tuple[float, float, float]]
     way: float
     n: int
     later: tuple[tuple[float, float, float], ...]
+    traces: tuple[Trace, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,7 @@ class Specimen:
     """One history's law, best for all of it: ln of its life in days over a way, exponent, ln of the wander.
 
     later: at each of SEEN, which share of the way was gone and how much κ had to differ from then on.
+    trace: its course.
     """
 
     life: float
@@ -57,12 +60,13 @@ class Specimen:
     wander: float
     way: float
     later: tuple[tuple[float, float], ...]
+    trace: Trace
 
     def over(self, way: float) -> "Specimen":
         """Return the same with the life over another way."""
         lean = 1.0 - self.exponent
         ratio = way_gone(np.array(way), np.array(lean)) / way_gone(np.array(self.way), np.array(lean))
-        return Specimen(self.life + float(np.log(np.abs(ratio))), self.exponent, self.wander, way, self.later)
+        return replace(self, life=self.life + float(np.log(np.abs(ratio))), way=way)
 
 
 def specimen(t: FloatArray, z: FloatArray, scale: Scale) -> Specimen:
@@ -75,7 +79,7 @@ def specimen(t: FloatArray, z: FloatArray, scale: Scale) -> Specimen:
     bend, misfit = _closest(gone, z, scale)
     wander = float(np.log(np.clip(WANDER * misfit, 0.02, 2.0))) - 0.5 * float(np.log(span))
     later = tuple(_later(gone, z, bend, share_of_life, scale) for share_of_life in SEEN)
-    return Specimen(float(np.log(span)), bend / scale.reach, wander, scale.reach, later)
+    return Specimen(float(np.log(span)), bend / scale.reach, wander, scale.reach, later, trace(t, z))
 
 
 def _closest(t: FloatArray, z: FloatArray, scale: Scale) -> tuple[float, float]:
@@ -119,7 +123,8 @@ def learn(specimens: Sequence[Specimen]) -> Learnt:
         spread = ((n - 1) * float(np.var(values, ddof=1)) if n > 1 else 0.0) + COUNT * beforehand
         scale = float(np.sqrt(spread / (n - 1 + COUNT) * (1.0 + 1.0 / n)))
         of[name] = (float(np.mean(values)), scale, n - 1 + COUNT + LIGHT)
-    return Learnt(of, way, n, _later_of(np.array([s.later for s in specimens])))
+    later = _later_of(np.array([s.later for s in specimens]))
+    return Learnt(of, way, n, later, tuple(s.trace for s in specimens))
 
 
 def _later_of(later: FloatArray) -> tuple[tuple[float, float, float], ...]:

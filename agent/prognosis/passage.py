@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.prognosis.family import Scale, bent, onward
 from agent.prognosis.posterior import FULL, Effort, Particles
@@ -55,10 +56,7 @@ def _paths(
     steps: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    weight = np.exp(found.log_weight)
-    places = (rng.uniform() + np.arange(n)) / n
-    index = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), places), len(weight) - 1)
-    index = index[rng.permutation(n)]
+    index = _chosen(found, n, rng)
     s = found.state
     bend = found.column("bend", 0.0)[index]
     fixed = "bend" not in found.names
@@ -75,6 +73,26 @@ def _paths(
     )
     q, w = np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index])
     return _simulated(np.sign(scale.limit) * (limit - u), np.sign(scale.limit) * b, q, w, course, steps, rng)
+
+
+def _chosen(found: Particles, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return n particles' places, drawn by their weights."""
+    weight = np.exp(found.log_weight)
+    places = (rng.uniform() + np.arange(n)) / n
+    index = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), places), len(weight) - 1)
+    return index[rng.permutation(n)]
+
+
+def newest_levels(
+    found: list[Particles], scale: Scale, newest: float, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return n draws of the newest scaled level, as the most probable law knows it."""
+    best = max(found, key=lambda one: one.log_evidence)
+    index = _chosen(best, n, rng)
+    at, slope = bent(np.array(newest), best.column("bend", 0.0)[index], scale)
+    u = best.state.u[index] + np.sqrt(np.maximum(best.state.uu[index], 0.0)) * rng.standard_normal(n)
+    levels: FloatArray = newest + (u - at) / slope
+    return levels
 
 
 def _simulated(

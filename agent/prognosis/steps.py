@@ -52,15 +52,23 @@ def without(history: History, steps: list[Step]) -> History:
     return History(history.t, value, history.sd)
 
 
-def _largest(thin: History) -> Step | None:
-    sums = np.cumsum(np.r_[0.0, thin.value])
+def _running(values: FloatArray) -> FloatArray:
+    """Return the means of each ASIDE neighbours."""
+    sums = np.cumsum(np.r_[0.0, values])
     mean: FloatArray = (sums[ASIDE:] - sums[:-ASIDE]) / ASIDE
+    return mean
+
+
+def _largest(thin: History) -> Step | None:
+    mean = _running(thin.value)
+    variance = _running(thin.sd**2) / ASIDE
     apart = mean[ASIDE:] - mean[:-ASIDE]
     middle = float(np.median(apart))
-    stated = float(np.median(thin.sd)) * float(np.sqrt(2.0 / ASIDE))
-    sd = max(1.4826 * float(np.median(np.abs(apart - middle))), stated, 1e-300)
-    k = int(np.argmax(np.abs(apart - middle)))
+    scatter = max(1.4826 * float(np.median(np.abs(apart - middle))), 1e-300)
+    sds = np.maximum(scatter, np.sqrt(variance[ASIDE:] + variance[:-ASIDE]))
+    k = int(np.argmax(np.abs(apart - middle) / sds))
     size = float(apart[k])
+    sd = float(sds[k])
     inside = ASIDE <= k < len(apart) - ASIDE
     if not inside or abs(size - middle) < APART * sd:
         return None

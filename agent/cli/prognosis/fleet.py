@@ -9,6 +9,7 @@ from agent.errors import UsageError
 from agent.prognosis.change import Change, change
 from agent.prognosis.posterior import BRIEF
 from agent.prognosis.steps import find_steps, without
+from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import (
     forecast_document,
     history_of,
@@ -17,7 +18,7 @@ from agent.runtime.forecasts.histories import (
     write_prior,
 )
 from agent.runtime.forecasts.record import record_of
-from agent.storage.read import queries
+from agent.storage.read import baselines, queries
 from agent.text import ahead, number, short_time
 
 Document = Mapping[str, Any]
@@ -58,10 +59,12 @@ def _rows(
     window = queries.longest_window(path)
     found = []
     for rig in queries.rigs(path):
+        standing = baselines.standing(path, rig)
         for points in queries.all_points(path, rig, MOST_ROWS):
             name = points.parameter
             if parameter in {None, name}:
-                row = _row(points, window, limits.get((rig, name)), horizon, limit_percent)
+                same = compensated(path, points, standing).points
+                row = _row(same, window, limits.get((rig, name)), horizon, limit_percent)
                 found.append(row | {"record": record_of(past.get((rig, name), []))})
     return found
 

@@ -28,15 +28,16 @@ class Compensated:
     unknown: int = 0
 
 
-def compensated(db: Path, points: Points) -> Compensated:
+def compensated(db: Path, points: Points, standing: Sequence[Baseline] | None = None) -> Compensated:
     """Return rows with what a standing baseline says of covariates removed; unchanged where it says nothing.
 
-    Rows at which a covariate is not known are less well known. Raises StoreError.
+    Rows at which a covariate is not known are less well known. standing: what the rig counts from; None to
+    look it up. Raises StoreError.
     """
-    standing = baselines.standing(db, points.rig) if len(points.t_ns) else ()
-    one = next(
-        (one for one in standing if one.parameter == points.parameter and one.unit == points.unit), None
-    )
+    if standing is None:
+        standing = baselines.standing(db, points.rig) if len(points.t_ns) else ()
+    mine = (one for one in standing if one.parameter == points.parameter and one.unit == points.unit)
+    one = next(mine, None)
     found = dependences(one) if one is not None else ()
     if one is None or not found:
         return Compensated(points)

@@ -14,6 +14,7 @@ from agent.prognosis.forecast import Forecast, forecast, learn_from
 from agent.prognosis.history import DAY_NS, History, blocks, disjoint, sound
 from agent.prognosis.learnt import Learnt
 from agent.prognosis.posterior import FULL, Effort
+from agent.prognosis.traces import Trace
 from agent.runtime.forecasts.record import Row, record_of
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
@@ -99,7 +100,8 @@ def read_prior(path: Path) -> Learnt:
             raise ValueError("its kind is another")
         of = {name: (float(a), float(b), float(c)) for name, (a, b, c) in found["of"].items()}
         later = tuple((float(a), float(b), float(c)) for a, b, c in found["later"])
-        return Learnt(of, float(found["way"]), int(found["n"]), later)
+        traces = tuple(Trace(tuple(level), tuple(day)) for level, day in found.get("traces", ()))
+        return Learnt(of, float(found["way"]), int(found["n"]), later, traces)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         advice = "write one by deltak fleet learn"
         raise UsageError.at(str(path), f"holds no prior: {error}", advice) from error

@@ -17,13 +17,20 @@ import pytest
 from agent.cli.prognosis.fleet import fleet, learn_prior
 from agent.cli.prognosis.trend import Ahead, trend
 from agent.errors import UsageError
+from agent.numerics.reference.covariates.dependence import Dependence, written
+from agent.storage.maintenance import store_baselines
 from agent.storage.read import queries
 from agent.storage.read.tables import table_points
 from agent.storage.write.store import Store
-from agent.types import ForecastRecord, ForecastScore
-from tests.storage.rows import batch, run_info
+from agent.types import Baseline, CovariateMean, ForecastRecord, ForecastScore
+from tests.storage.rows import START, batch, run_info
 
 DAY = 86_400
+HOUR_NS = 3600 * 10**9
+WARMED = Dependence(
+    "hall", "degC", -0.1, 0.001, -0.102, -0.098, "none", 0.0, 0.0, 0.0, 20.0, 15.0, 35.0, 5.0, 600.0,
+    used=True,
+)  # fmt: skip
 OPEN = (None, None)
 Said = Callable[..., str]
 
@@ -192,6 +199,28 @@ def test_fleet_shows_the_part_that_changes_first(machines: Path) -> None:
     assert {"rig", "parameter", "slope_percent_per_year", "p50_at", "chance", "record"} <= set(found[0])
     only = fleet([machines / "press-1.db"], "90d", "k1", 30.0)["rows"]
     assert [(row["rig"], row["parameter"]) for row in only] == [("press-1", "k1")]
+
+
+def test_fleet_takes_out_what_a_covariate_does(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A hall that warms by 10 K makes a spring softer by 4 %: no part falls."""
+    path = tmp_path / "rig.db"
+    hours = np.arange(120)
+    temperature = 20.0 + hours / 12.0
+    rows = batch(120, parameters=("k1",), hop_ns=HOUR_NS)
+    value = 25.0 - 0.1 * (temperature - 20.0) + 0.02 * rng.standard_normal(120)
+    exact = np.full((120, 1), 0.02)
+    means = [
+        CovariateMean("press-7", "hall", "degC", START + hour * HOUR_NS, 20.0 + hour / 12.0, 60, 3600)
+        for hour in hours.tolist()
+    ]
+    with Store.open(path) as store:
+        run = store.begin_run(run_info())
+        store.write(run, [replace(rows, value=value[:, None], sd=exact, sd_repeat=exact), *means])
+    assert fleet([path], "90d", None, 20.0)["rows"][0]["trend"]
+    figures = (25.0, 0.01, 0.04, 0.01, None, 3600.0, 100.0, written([WARMED]), 0, 1, 100)
+    store_baselines(path, [Baseline("press-7", "k1", "N/m", "", *figures)])
+    (row,) = fleet([path], "90d", None, 20.0)["rows"]
+    assert (row["trend"], row["status"]) == (False, "no trend")
 
 
 def test_fleet_of_an_empty_folder_says_so(tmp_path: Path) -> None:

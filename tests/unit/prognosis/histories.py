@@ -19,6 +19,15 @@ def straight(rng: np.random.Generator, n: int = 60) -> tuple[History, float]:
     return History(at, value, np.full(n, s)), life - float(at[-1])
 
 
+def hardly_moved(rng: np.random.Generator, times: float = 10.0) -> tuple[History, float]:
+    """The same, whose newest rows rest on little movement: their stated sd is so many times the others'."""
+    history, remains = straight(rng)
+    late = history.t > 0.85 * history.t[-1]
+    sd = np.where(late, times, 1.0) * history.sd
+    more = np.sqrt(sd**2 - history.sd**2) * rng.standard_normal(len(history))
+    return History(history.t, history.value + more, sd), remains
+
+
 def bent(rng: np.random.Generator, n: int = 120, noise: float = 0.05) -> History:
     """A level that falls faster and faster, days."""
     t = np.arange(float(n))

@@ -9,10 +9,10 @@ from scipy.stats import kstest
 from agent.prognosis.family import way_left
 from agent.prognosis.forecast import Forecast, forecast, learn_from, plain_prior, readings_of
 from agent.prognosis.history import History
-from agent.prognosis.posterior import BRIEF, FULL
+from agent.prognosis.posterior import BRIEF, FULL, Effort
 from agent.prognosis.scores import pit
 from tests.figures import figure
-from tests.unit.prognosis.histories import LIMIT, bent, straight
+from tests.unit.prognosis.histories import LIMIT, bent, hardly_moved, straight
 from tests.unit.prognosis.laws import cracking, of_the_family
 
 
@@ -29,6 +29,45 @@ def transforms(rng: np.random.Generator, count: int) -> np.ndarray:
 def test_forecast_band_holds_what_comes(rng: np.random.Generator) -> None:
     share = np.mean(np.abs(transforms(rng, 25) - 0.5) <= 0.4)
     assert share >= 0.68  # four in five of 25 are 20; fewer than 17 come in 5 % of seeds
+
+
+def of_poor_rows(rng: np.random.Generator, count: int, effort: Effort) -> tuple[float, float]:
+    """Shares held of histories whose newest rows are poor: as stated, and with the stated sd removed."""
+    inside: list[tuple[bool, bool]] = []
+    for _ in range(count):
+        history, remains = hardly_moved(rng)
+        unstated = History(history.t, history.value, np.zeros(len(history)))
+        made = [forecast(one, LIMIT, effort=effort).passages for one in (history, unstated)]
+        one, other = (len(found) > 0 and abs(pit(found, remains) - 0.5) <= 0.4 for found in made)
+        inside.append((one, other))
+    stated, removed = np.mean(inside, axis=0)
+    return float(stated), float(removed)
+
+
+def test_forecast_without_the_estimates_sd_no_longer_holds_what_comes(rng: np.random.Generator) -> None:
+    stated, removed = of_poor_rows(rng, 20, BRIEF)
+    assert stated >= 0.75
+    assert removed <= 0.65
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+def test_forecasts_of_many_histories_need_the_estimates_sd(rng: np.random.Generator) -> None:
+    stated, removed = of_poor_rows(rng, 500, FULL)
+    figure(f"newest rows ten times as uncertain: P10-P90 holds {stated:.2f}, without their sd {removed:.2f}")
+    assert stated >= 0.75
+    assert removed < 0.65
+
+
+def test_poor_rows_beyond_the_limit_have_not_crossed_it() -> None:
+    """Six newest rows scatter past the limit by less than they may be off; sixty before stay far from it."""
+    t = np.arange(66.0)
+    value = 25.0 - 0.05 * t
+    value[-6:] = LIMIT - 0.3
+    sd = np.where(t < 60.0, 0.05, 2.0)
+    found = forecast(History(t, value, sd), LIMIT)
+    assert found.status == "ok"
+    assert found.p50 == pytest.approx(34.0, rel=0.3)
 
 
 @pytest.mark.soak

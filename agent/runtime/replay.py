@@ -37,6 +37,8 @@ from drivers.port import Counts, Driver, DriverConfigError, DriverError, SampleB
 
 SOURCE = "recording"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
+_COMMIT_S = 0.2
+"""Between commits: little is left to write when the last block is estimated."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)
@@ -272,7 +274,7 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
         learnt_key=learnt_key(rig),
         site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
     )  # fmt: skip
-    writer = StoreWriter(lambda: Store.open(db), [run], lossless=True)
+    writer = StoreWriter(lambda: Store.open(db), [run], lossless=True, period_s=_COMMIT_S)
     writer.start()
     return writer
 

@@ -161,7 +161,8 @@ class Lineariser:
             moved = np.maximum(moved, self.rig.lower)
             response = self._at(moved, known, known.kept)
             regressor = Regressor(self.rig, response, self.sources, known.eta)
-            trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), np.zeros(0, dtype=np.int64))
+            no_cuts = np.zeros(0, dtype=np.int64)
+            trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), no_cuts, whole=False)
             if self._cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
                 return np.asarray(moved)
             share *= 0.5

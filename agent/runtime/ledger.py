@@ -6,7 +6,7 @@ else.
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from agent.blocks.acquisition.interface import Acquisition, Ends, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
@@ -50,9 +50,14 @@ class Ledger:
         ended = used + rejected.total() + self.acquisition.sources[source].refusals().total()
         self._lost.setdefault(source, Counter())[reason] += max(0, taken - ended)
 
-    def ends(self, source: str) -> Ends:
-        """Return counts of a source's samples: used or waiting, and refused after acquisition, by reason."""
-        used, rejected = self.acquisition.ends(source, self.through())
+    def ends(self, source: str, prepared: int = 0) -> Ends:
+        """Return counts of a source's samples: used or waiting, and refused after acquisition, by reason.
+
+        prepared: samples that wait for the estimation alone.
+        """
+        through = self.through()
+        through = replace(through, waiting=through.waiting + prepared)
+        used, rejected = self.acquisition.ends(source, through)
         return used, rejected + self._lost.get(source, Counter())
 
     def rejected(self, source: str, driver: Counts) -> Counter[str]:
@@ -60,20 +65,23 @@ class Ledger:
         return driver.rejected + self.acquisition.sources[source].refusals() + self.ends(source)[1]
 
     def health(
-        self, conservation: Mapping[str, Conservation], t_ns: int, lag_s: float | None
+        self, conservation: Mapping[str, Conservation], t_ns: int, lag_s: float | None, prepared: int = 0
     ) -> list[Health]:
         """Return the ledger of every source.
 
-        Samples that were taken and not computed yet are in no count but the driver's.
+        Samples that were taken and not computed yet are in no count but the driver's, but for those prepared:
+        they wait.
         """
-        return [self._health_of(name, before, t_ns, lag_s) for name, before in conservation.items()]
+        return [self._health_of(name, before, t_ns, lag_s, prepared) for name, before in conservation.items()]
 
-    def _health_of(self, name: str, before: Conservation, t_ns: int, lag_s: float | None) -> Health:
+    def _health_of(
+        self, name: str, before: Conservation, t_ns: int, lag_s: float | None, prepared: int
+    ) -> Health:
         driver = before.driver
         state = self.acquisition.sources.get(name)
         if state is None:
             return self._beside(name, before, t_ns)
-        used, _ = self.ends(name)
+        used, _ = self.ends(name, prepared)
         return Health(
             rig=self.rig, source=name, t_ns=t_ns, received=driver.received + driver.dropped.total(),
             used=used, rejected=dict(self.rejected(name, driver)),

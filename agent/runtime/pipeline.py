@@ -58,6 +58,21 @@ class Taken(NamedTuple):
     piece: Piece
 
 
+class Prepared(NamedTuple):
+    """Samples on their way from the quality block to the estimation, and what was found of the sources meanwhile."""
+
+    parts: list[Labelled]
+    events: list[Record]
+    newest_ns: int
+
+    @property
+    def waiting(self) -> int:
+        """How many whole samples the estimation will take of them."""
+        return sum(
+            int(samples.complete.sum()) for part in self.parts for samples in part.values if samples.usable
+        )
+
+
 class Pipeline:
     """One rig from samples to records.
 
@@ -145,17 +160,39 @@ class Pipeline:
         The rows are the same however many blocks that were. Their cost is mostly by the call: many are
         cheaper at once.
         """
-        taken, events = self._taken, self._source_events
-        self._taken, self._source_events = [], []
+        events = self._take_events()
+        records = [record for part in self._prepared() for record in self._estimated(part)]
+        return records + self._beside(events, self.newest_ns)
+
+    def prepare(self) -> Prepared:
+        """Do of `compute` what needs no estimate to be known: another thread may, while `estimate` runs for the last."""
+        return Prepared(list(self._prepared()), self._take_events(), self.newest_ns)
+
+    def estimate(self, prepared: Prepared) -> list[Record]:
+        """Do the rest of `compute`."""
+        records = [record for part in prepared.parts for record in self._estimated(part)]
+        return records + self._beside(prepared.events, prepared.newest_ns)
+
+    def _prepared(self) -> Iterator[Labelled]:
+        """Yield what the quality block makes of the blocks taken, as much at once as goes together."""
+        taken, self._taken = self._taken, []
         quality = self.stages.quality
-        records: list[Record] = []
         for anew, realigning, pieces in _alike(taken):
             index, t_ns, v = (np.concatenate(part) for part in zip(*pieces, strict=True))
             if realigning:
-                records += self._estimated(quality.unpaired(index, t_ns, v))
+                labelled = quality.unpaired(index, t_ns, v)
             else:
-                records += self._estimated(quality.step(index, t_ns, v, anew=anew))
-        return records + events + list[Record](self.covariates.step(self.newest_ns))
+                labelled = quality.step(index, t_ns, v, anew=anew)
+            self.acquisition.arrived(labelled.values)
+            yield labelled
+
+    def _take_events(self) -> list[Record]:
+        events, self._source_events = self._source_events, []
+        return events
+
+    def _beside(self, events: list[Record], newest_ns: int) -> list[Record]:
+        """Return what is found beside the estimates up to a time: of the sources and of the covariates."""
+        return events + list[Record](self.covariates.step(newest_ns))
 
     def foreseen(self, outlooks: Sequence[Outlook]) -> list[Record]:
         """Return alarms that outlooks on parameters lead to; made beside the samples, not of them."""
@@ -164,7 +201,9 @@ class Pipeline:
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
         self._keep(self.acquisition.finish())
-        records = self.compute() + self._estimated(self.stages.quality.finish())
+        records, last = self.compute(), self.stages.quality.finish()
+        self.acquisition.arrived(last.values)
+        records += self._estimated(last)
         return records + list[Record](self.covariates.finish())
 
     def hurry(self) -> None:
@@ -200,7 +239,6 @@ class Pipeline:
         """Return the estimates of samples, and the alarms that they and their channels raise."""
         stages = self.stages
         records = list[Record]()
-        self.acquisition.arrived(labelled.values)
         for samples in labelled.values:
             complete = replace(samples, u=stages.friction.step(samples)) if samples.usable else samples
             if self.watch is not None:

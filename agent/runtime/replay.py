@@ -6,6 +6,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
 from itertools import chain
@@ -25,20 +26,25 @@ from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.ledger import Conservation
 from agent.runtime.limits import HEALTH_PERIOD_NS
-from agent.runtime.pipeline import Pipeline, resolutions
+from agent.runtime.pipeline import Pipeline, Prepared, resolutions
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import part
 from agent.runtime.usability import Evidence, assess
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import ClockRecord, Record, RunInfo
+from agent.types import ClockRecord, FloatArray, IntArray, Record, RunInfo
 from drivers.port import Counts, Driver, DriverConfigError, DriverError, SampleBlock, SourceRequest
 
 SOURCE = "recording"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
+_COMMIT_S = 0.2
+"""Between commits: little is left to write when the last block is estimated."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)
+
+Covariates = tuple[IntArray, Mapping[str, FloatArray]]
+"""Instants (n,), ns, and the readings (n,) of each covariate."""
 
 
 class Track(NamedTuple):
@@ -268,7 +274,7 @@ def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
         learnt_key=learnt_key(rig),
         site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
     )  # fmt: skip
-    writer = StoreWriter(lambda: Store.open(db), [run], lossless=True)
+    writer = StoreWriter(lambda: Store.open(db), [run], lossless=True, period_s=_COMMIT_S)
     writer.start()
     return writer
 
@@ -291,9 +297,42 @@ def _whole_counts(
     return total, refused
 
 
+class _Piece(NamedTuple):
+    """What a block leads to before anything is estimated; a block of covariates only leads to no samples."""
+
+    settings: list[ClockRecord]
+    covariates: Covariates | None
+    prepared: Prepared | None
+
+
 def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> Iterator[list[Record]]:
-    """Yield what each block leads to, with the ledger every 10 s of samples and at the end."""
+    """Yield what each block leads to, with the ledger every 10 s of samples and at the end.
+
+    While one is estimated, another thread reads and prepares the next.
+    """
     due: int | None = None
+    pieces = _pieces(pipeline, tracks, evidence)
+    with ThreadPoolExecutor(1) as ahead:
+        coming = ahead.submit(next, pieces, None)
+        while (piece := coming.result()) is not None:
+            ledger: list[Record] = []
+            newest_ns = 0 if piece.prepared is None else piece.prepared.newest_ns
+            if piece.prepared and (due is None or not due - HEALTH_PERIOD_NS <= newest_ns < due):
+                due = newest_ns + HEALTH_PERIOD_NS
+                ledger = _ledger(pipeline, tracks, piece.prepared.waiting)  # before the next is counted
+            coming = ahead.submit(next, pieces, None)
+            if piece.covariates is not None:
+                pipeline.take_covariates(*piece.covariates)
+            if piece.prepared is not None:
+                yield [*piece.settings, *pipeline.estimate(piece.prepared)]
+            if ledger:
+                yield ledger
+    yield pipeline.finish()
+    yield _ledger(pipeline, tracks)
+
+
+def _pieces(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> Iterator[_Piece]:
+    """Yield the blocks, prepared."""
     labels = SampleLabels(pipeline.config.rig.sample_rate_hz)
     played = Counter[str]()
     for track, block in _played(tracks):
@@ -301,30 +340,25 @@ def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) ->
         evidence.watch(block)
         received = block.wall_offset_ns is not None
         label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
-        signals = _signals(pipeline, track, block, played)
-        if signals is None:
+        covariates = _covariates(pipeline, track, block, played)
+        if track.covariates and not track.signals:
+            yield _Piece([], covariates, None)
             continue
-        records = pipeline.step(
-            track.source, signals, track.driver.counter_modulus, label if received else None
-        )
-        yield [*_settings(pipeline.config.rig.name, labels), *records]
-        if due is None or not due - HEALTH_PERIOD_NS <= pipeline.newest_ns < due:
-            due = pipeline.newest_ns + HEALTH_PERIOD_NS
-            yield _ledger(pipeline, tracks)
-    yield pipeline.finish()
-    yield _ledger(pipeline, tracks)
+        signals = part(block, track.signals) if track.covariates else block
+        pipeline.take(track.source, signals, track.driver.counter_modulus, label if received else None)
+        prepared = pipeline.prepare()
+        yield _Piece(_settings(pipeline.config.rig.name, labels), covariates, prepared)
 
 
-def _signals(
+def _covariates(
     pipeline: Pipeline, track: Track, block: SampleBlock, played: Counter[str]
-) -> SampleBlock | None:
-    """Return the signals of a block, whose covariates are taken; None where it has nothing else."""
+) -> Covariates | None:
+    """Return the instants and readings of a block's covariates; None where it has none."""
     if not track.covariates:
-        return block
+        return None
     stamps = instants(block, pipeline.config.rig.sample_rate_hz, played[track.source])
-    pipeline.take_covariates(stamps, readings(block, track.covariates))
     played[track.source] += len(block)
-    return part(block, track.signals) if track.signals else None
+    return stamps, readings(block, track.covariates)
 
 
 def _settings(rig: str, labels: SampleLabels) -> list[ClockRecord]:
@@ -335,7 +369,8 @@ def _settings(rig: str, labels: SampleLabels) -> list[ClockRecord]:
     return found
 
 
-def _ledger(pipeline: Pipeline, tracks: Sequence[Track]) -> list[Record]:
+def _ledger(pipeline: Pipeline, tracks: Sequence[Track], prepared: int = 0) -> list[Record]:
+    """Return the ledger; prepared: samples that wait for the estimation alone."""
     counts = {track.source: Counts() for track in tracks}
     for source, driver in ((track.source, track.driver) for track in tracks):
         counts[source].received += driver.counts.received
@@ -343,7 +378,7 @@ def _ledger(pipeline: Pipeline, tracks: Sequence[Track]) -> list[Record]:
         counts[source].dropped.update(driver.counts.dropped)
         counts[source].faults.update(driver.counts.faults)
     conservation = {source: Conservation(total, Counter()) for source, total in counts.items()}
-    return list(pipeline.ledger.health(conservation, pipeline.newest_ns, None))
+    return list(pipeline.ledger.health(conservation, pipeline.newest_ns, None, prepared))
 
 
 def _played(tracks: Sequence[Track]) -> Iterator[tuple[Track, SampleBlock]]:

@@ -9,7 +9,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, layout_free
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
-from agent.numerics.inference.spectral.bins import Bins
+from agent.numerics.inference.spectral.bins import bins_of
 from agent.numerics.inference.spectral.columns import Layout, Regression, Regressor, Window
 from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of
 from agent.numerics.inference.spectral.ends import Ends
@@ -102,7 +102,7 @@ class Lineariser:
             and np.array_equal(old.at.theta, theta) and np.array_equal(old.at.log_mass, log_mass)
         )  # fmt: skip
         if old is None or not same:
-            old = Response(sampled(self.rig, theta, log_mass), Bins(self.window, kept))
+            old = Response(sampled(self.rig, theta, log_mass), bins_of(self.window, kept))
             self._response, self._cells = old, None
         return old
 
@@ -161,7 +161,8 @@ class Lineariser:
             moved = np.maximum(moved, self.rig.lower)
             response = self._at(moved, known, known.kept)
             regressor = Regressor(self.rig, response, self.sources, known.eta)
-            trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), np.zeros(0, dtype=np.int64))
+            no_cuts = np.zeros(0, dtype=np.int64)
+            trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), no_cuts, whole=False)
             if self._cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
                 return np.asarray(moved)
             share *= 0.5

@@ -13,7 +13,6 @@ from math import factorial
 from typing import Final
 
 import numpy as np
-from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from agent.numerics.model.statespace import Hold, StateSpace, exponential_with_derivatives
@@ -70,6 +69,8 @@ def sample(continuous: StateSpace, period_s: float, hold: Hold) -> Tapped:
 
 def _derivative_weights(offsets: tuple[int, ...]) -> FloatArray:
     """Return (taps, degree + 1): what readings add to the polynomial's derivatives at 0, time in samples."""
+    from numpy.polynomial import polynomial  # it takes 3 ms to import, and few configurations ask for it
+
     rows = []
     for o in offsets:
         others = [other for other in offsets if other != o]

@@ -62,6 +62,14 @@ class Rails:
         """Tell whether some channel was stopped twice at one value."""
         return bool((self._times > 1).any())
 
+    def noted(self) -> bool:
+        """Tell whether some channel was stopped at a value, once or more."""
+        return not bool(np.isnan(self._value).all())
+
+    def met(self, low: FloatArray, high: FloatArray) -> BoolArray:
+        """(N, c) whether readings between low and high (N, c) may be at a value that stopped them."""
+        return np.asarray(((low <= self._value[:, None]) & (self._value[:, None] <= high)).any(axis=0))
+
     def pass_by(self, low: FloatArray, high: FloatArray, samples: int) -> None:
         """Take samples between low and high (c,); a rail that they go beyond is none."""
         self._since += samples

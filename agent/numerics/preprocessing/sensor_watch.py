@@ -34,7 +34,8 @@ class Finding:
 class _Blocks:
     """Facts of N blocks: lowest, highest, noise, step (N, c); equal (N, c) if PLATEAU readings in a row are.
 
-    rail (N, c): such a row was entered so fast that it may be the end of a range.
+    entered (N, c): the speed at which such a row was run into, a sample. rail (N, c): so fast that it may be
+    the end of a range. least, most (N, c): lowest and highest with the readings before that tell of a rail.
     """
 
     low: FloatArray
@@ -42,7 +43,10 @@ class _Blocks:
     noise: FloatArray
     step: FloatArray
     equal: BoolArray
+    entered: FloatArray
     rail: BoolArray
+    least: FloatArray
+    most: FloatArray
 
 
 class SensorWatch:
@@ -91,7 +95,7 @@ class SensorWatch:
         doubtful = self._doubtful(blocks)
         b = 0
         while b < whole:
-            quiet = self._quiet_until(doubtful, b)
+            quiet = self._quiet_until(blocks, doubtful, b)
             if quiet > b:
                 self._skip(blocks, slice(b, quiet))
             else:
@@ -105,20 +109,26 @@ class SensorWatch:
         return found
 
     def _doubtful(self, blocks: _Blocks) -> BoolArray:
-        """(N,) blocks in which some channel stands still, or stays at an extreme."""
+        """(N,) blocks in which some channel stands still, or runs into what may be the end of its range.
+
+        A force that is held runs into nothing: it rested before.
+        """
         before = np.maximum.accumulate(np.vstack([self._high, blocks.high]))[:-1]
         below = np.minimum.accumulate(np.vstack([self._low, blocks.low]))[:-1]
         reach = 0.5 * blocks.step
         extreme = blocks.equal & ((blocks.high >= before - reach) | (blocks.low <= below + reach))
-        extreme &= ~(self._inputs & (blocks.low == 0) & (blocks.high == 0))  # a force at rest
+        extreme &= blocks.entered > 0
         still = (blocks.high - blocks.low <= 1.01 * blocks.step) & ~self._inputs
         return np.asarray((still | extreme | blocks.rail).any(axis=1))
 
-    def _quiet_until(self, doubtful: BoolArray, b: int) -> int:
+    def _quiet_until(self, blocks: _Blocks, doubtful: BoolArray, b: int) -> int:
         """Return the next block that must be looked at."""
-        if self._standing.still.any() or any(self._kinds) or self._rails.known():
+        if self._standing.still.any() or any(self._kinds):
             return b
         ahead = doubtful[b:]
+        if self._rails.noted():
+            met = self._rails.met(blocks.least[b:], blocks.most[b:])
+            ahead = ahead | (blocks.equal[b:] & (met | (blocks.entered[b:] > 0))).any(axis=1)
         return b + int(np.argmax(ahead)) if ahead.any() else len(doubtful)
 
     def _skip(self, blocks: _Blocks, which: slice) -> None:
@@ -148,7 +158,12 @@ class SensorWatch:
         step = self._steps(change, same, whole)
         plateau, fastest = self._plateaus(change, same, blocks)
         rail = np.asarray(fastest > OVERSHOOT / PLATEAU * np.maximum(step, noise))
-        return _Blocks(cut.min(axis=2).T, cut.max(axis=2).T, noise, step, plateau, rail)
+        low, high = cut.min(axis=2).T, cut.max(axis=2).T
+        # a row of equal readings may begin in the block before, at first in the samples of context
+        context = x[:, start - RAIL_ENTRY : start] if start else x[:, :1]
+        least = np.minimum(low, np.vstack([context.min(axis=1), low[:-1]]))
+        most = np.maximum(high, np.vstack([context.max(axis=1), high[:-1]]))
+        return _Blocks(low, high, noise, step, plateau, fastest, rail, least, most)
 
     def _plateaus(
         self, change: FloatArray, same: BoolArray, blocks: tuple[int, int, int]

@@ -21,7 +21,7 @@ from agent.storage.database.files import (
     refuse_links,
     sync_folder,
 )
-from agent.storage.database.schema import PAGE_SIZE, SCHEMA_VERSION, strange_schema, upgrade, version_of
+from agent.storage.database.schema import PAGE_SIZE, SCHEMA_VERSION, strange_schema, version_of, write_schema
 
 WAL_BOUND = 16 * 1024 * 1024
 """Bytes that the write-ahead log may take whatever readers do."""
@@ -105,7 +105,7 @@ def build(path: Path) -> None:
         connection.execute(f"PRAGMA page_size = {PAGE_SIZE}")
         _use_log(connection)
         connection.execute("PRAGMA synchronous = FULL")
-        upgrade(connection)
+        write_schema(connection)
         empty_log(connection)  # closing would do so as well, but does not say when it fails
     finally:
         connection.close()

@@ -10,6 +10,7 @@ import sqlite3
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from datetime import UTC, datetime
 from functools import cache
 from itertools import chain
 from types import SimpleNamespace
@@ -280,6 +281,19 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
 """The migrations in order. A view's text is part of a version: a file where it differs counts as damaged."""
 
 
+_RECORD_OF_MIGRATIONS = (
+    """CREATE TABLE "_sqlite_migrations" (
+   "id" INTEGER PRIMARY KEY,
+   "migration_set" TEXT,
+   "name" TEXT,
+   "applied_at" TEXT
+)""",
+    """CREATE UNIQUE INDEX "idx__sqlite_migrations_migration_set_name"
+    ON "_sqlite_migrations" ("migration_set", "name")""",
+)
+"""sqlite-utils' table of the migrations that were applied, in its own words."""
+
+
 def _create(connection: sqlite3.Connection, table: str) -> None:
     columns = TABLES[table]
     connection.execute(
@@ -350,6 +364,24 @@ def strange_schema(connection: sqlite3.Connection) -> list[str]:
              if _bare(found.get((kind, name))) != _bare(own)]  # fmt: skip
     others = (name for kind, name in found if kind == "trigger" or name.lower() in _CALLED)
     return words + [f"{name} does not belong there" for name in others]
+
+
+def write_schema(connection: sqlite3.Connection) -> None:
+    """Write the whole schema into a new file, with the record of migrations that upgrading it would leave.
+
+    One transaction, and without sqlite-utils: its import is a good part of what a short replay takes to
+    start.
+    """
+    connection.execute("BEGIN")
+    for statement in _RECORD_OF_MIGRATIONS:
+        connection.execute(statement)
+    for name, step in _STEPS.items():
+        step(cast("Database", SimpleNamespace(conn=connection)))
+        row = ("deltak", name, str(datetime.now(UTC)))
+        connection.execute(
+            "INSERT INTO _sqlite_migrations (migration_set, name, applied_at) VALUES (?, ?, ?)", row
+        )
+    connection.execute("COMMIT")
 
 
 def upgrade(connection: sqlite3.Connection) -> None:

@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,26 @@ def test_every_earlier_version_has_a_fixture() -> None:
     versions = [int(step.name[:4]) for step in migrations().pending(Database(memory=True))]
     assert versions[-1] == SCHEMA_VERSION
     assert sorted(FIXTURES) == versions[:-1], "make a file with the program before the migration"
+
+
+def test_new_file_is_what_the_migrations_make_of_an_empty_one(memory: Path) -> None:
+    new, migrated = memory / "new.db", memory / "migrated.db"
+    create(new)
+    database = Database(migrated)
+    migrations().apply(database)
+    assert shape(new) == shape(migrated)
+    with closing(sqlite3.connect(new)) as connection:
+        assert version_of(connection) == SCHEMA_VERSION
+        assert migrations().pending(Database(connection)) == []
+
+
+def test_new_file_is_made_without_the_library_of_the_migrations(memory: Path) -> None:
+    words = "import sys; from pathlib import Path; from agent.storage.database.connect import create; "
+    words += "create(Path(sys.argv[1])); assert 'sqlite_utils' not in sys.modules"
+    done = subprocess.run(
+        [sys.executable, "-c", words, str(memory / "new.db")], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("version", FIXTURES)

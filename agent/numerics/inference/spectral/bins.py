@@ -1,7 +1,7 @@
 """A window's frequencies: bins kept one by one, and groups of high bins of which residual power is kept."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,3 +100,9 @@ class Bins:
     def without(self, dropped: NDArray[np.bool_]) -> FloatArray:
         """Return the weights with those of dropped cells (kept + groups,) zero."""
         return np.where(dropped, 0.0, self.weight)
+
+
+@lru_cache(maxsize=8)
+def bins_of(window: int, kept: int) -> Bins:
+    """Return the bins of windows of a length, the same ones at every point of linearisation."""
+    return Bins(window, kept)

@@ -182,13 +182,18 @@ class Regressor:
         return Layout(self.response.at.n, free, len(self.slow), len(window.lost), rig.q, constants, cuts)
 
     def build(
-        self, window: Window, weigh: Weigh, cuts: IntArray, driven: ComplexArray | None = None
+        self,
+        window: Window,
+        weigh: Weigh,
+        cuts: IntArray,
+        driven: ComplexArray | None = None,
+        whole: bool = True,
     ) -> Regression:
         """Return the regression; `weigh` gives the columns' Gram under today's noise, for the initial state.
 
         driven (kept, n, p): S⁻¹ of readings to the states that unknown forces drive. The initial state of the
         periodic response is e0; the state that the window began with is e0 and what those forces had driven
-        by then.
+        by then. whole: with the high bins; a trial of a step asks for none of them.
         """
         response, at, bins = self.response, self.response.at, self.response.bins
         u = self.inputs(window)
@@ -218,10 +223,12 @@ class Regressor:
         parts.append(self._constants(window, modelled, u, low))
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
-        above = self._high(fu, x0 if response.is_free else periodic, forced[-1])
-        power = np.abs(np.vstack([modelled, above])) ** 2
         X_all = np.concatenate(parts, axis=2)
-        high = fy[bins.high] - above
+        above = high = np.zeros((0, len(self.output_gain)), dtype=complex)
+        if whole:
+            above = self._high(fu, x0 if response.is_free else periodic, forced[-1])
+            high = fy[bins.high] - above
+        power = np.abs(np.vstack([modelled, above])) ** 2
         return Regression(X_all, high, X, power, self.layout(window, len(cuts)))
 
     def _outputs(self, X: ComplexArray, U: ComplexArray) -> ComplexArray:

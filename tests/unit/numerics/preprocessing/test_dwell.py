@@ -4,7 +4,7 @@ say."""
 import numpy as np
 import pytest
 
-from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch
+from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch, _Blocks
 from tests.unit.numerics.preprocessing.test_sensor_watch import (
     INPUTS,
     KINDS,
@@ -76,13 +76,18 @@ def test_watch_of_a_commanded_force_that_is_held_at_its_ends_finds_nothing(
 class EachBlock(SensorWatch):
     """Looks at every block by itself."""
 
-    def _quiet_until(self, doubtful: np.ndarray, b: int) -> int:
+    def _quiet_until(self, blocks: _Blocks, doubtful: np.ndarray, b: int) -> int:
         return b
 
 
 def held_levels(seed: int) -> FloatArray:
     """A force that stays at each level for 100 samples."""
     return np.repeat(np.round(np.random.default_rng(seed).normal(0.0, 5.0, 120), 3), 100)
+
+
+def switched(samples: int) -> FloatArray:
+    """A force that is switched between the two ends of its range."""
+    return np.where(np.arange(samples) % 1000 < 500, 5.0, -5.0)
 
 
 def clipped(seed: int) -> FloatArray:
@@ -92,24 +97,34 @@ def clipped(seed: int) -> FloatArray:
     return v
 
 
-@pytest.mark.parametrize("played", [
-    lambda: under(held_levels(0)), lambda: under(held_levels(1)), lambda: under(blows(6000, 3.0, 60, 0)),
-    lambda: (clipped(0), None), lambda: (clipped(4), np.array([2e-6, 2e-6, 1e-3])),
-], ids=["levels", "other levels", "blows", "clipped", "clipped on a wire"])  # fmt: skip
+PLAYED = {
+    "levels": lambda: under(held_levels(0)),
+    "other levels": lambda: under(held_levels(1)),
+    "blows": lambda: under(blows(6000, 3.0, 60, 0)),
+    "switched": lambda: under(switched(6000)),
+    "ramps": lambda: under(np.where(np.arange(8000) < 4000, switched(8000), ramps(8000))),
+    "force clipped": lambda: under(np.clip(smooth(2, 6000)[:, 2], -4.0, 4.0)),
+    "clipped": lambda: (clipped(0), None),
+    "clipped on a wire": lambda: (clipped(4), np.array([2e-6, 2e-6, 1e-3])),
+}
+
+
+@pytest.mark.parametrize("played", PLAYED.values(), ids=PLAYED)
 def test_watch_of_batches_finds_what_a_watch_of_each_block_finds(played) -> None:
     v, steps = played()
     each: list[Finding] = EachBlock(INPUTS, np.zeros(3) if steps is None else steps, WINDOW, KINDS).take(v)
     assert watch(v, steps, cut=len(v)) == watch(v, steps, cut=333) == each
 
 
+@pytest.mark.parametrize("force", [held_levels(0), switched(12_000)], ids=["levels", "switched"])
 def test_watch_of_a_force_that_is_held_looks_at_few_blocks_by_themselves(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, force: FloatArray
 ) -> None:
     looked: list[int] = []
     assess = SensorWatch._assess
     monkeypatch.setattr(
         SensorWatch, "_assess", lambda self, blocks, b: looked.append(b) or assess(self, blocks, b)
     )
-    v, steps = under(held_levels(0))
+    v, steps = under(force)
     assert watch(v, steps) == []
     assert len(looked) < 0.15 * len(v) / 15

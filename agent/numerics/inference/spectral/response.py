@@ -112,7 +112,7 @@ class Response:
         return np.asarray(self._closed(found[..., None], self.at.B[:, [number]] * signal[0].real)[..., 0])
 
     def delayed(self, late: FloatArray, slopes: ComplexArray) -> ComplexArray:
-        """Return d y (kept, p), modulo Γ, by a delay (n + p, m) of inputs, from their slopes' DFT (kept, m)."""
+        """Return d y (kept, p), modulo Γ, by a delay (n + p, m), from the slopes' DFT (kept, m)."""
         n = self.at.n
         change = slopes @ late.T
         found = (self.CR @ change[:, :n, None])[..., 0] + change[:, n:]

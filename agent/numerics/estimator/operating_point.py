@@ -15,9 +15,9 @@ from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.model.uncertain import Rig, sampled
+from agent.numerics.model.uncertain import Rig, Sampled, delays_of, sampled
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
 LEAST_SHARE = 0.01
 """Directions of the constants that add less than this to every parameter's variance are left out."""
@@ -84,8 +84,8 @@ def operating_point(
     # rows are of windows to come: constants walk until then
     known = replace(known, constants=known.constants.predicted())
     eta = known.constants.standing[0]
-    at = sampled(rig, known.theta, eta[: rig.masses])
-    seen = _Seen(rig, eta, at.B.shape[1])
+    at = sampled(rig, known.theta, eta[: rig.masses], delays_of(rig, eta))
+    seen = _Seen(rig, eta, at)
     base = seen.model(at.A, at.B, at.C, at.D)
     columns = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q)]
     constants = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q, len(at.dA))]
@@ -100,7 +100,7 @@ def operating_point(
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
         model, push, learnt, known.theta, at.unit, sharpest / at.unit, wider, shape,
-        known.noise.unsure, max(1.0, float(known.scatter.within.max())), seen.slopes,
+        known.noise.unsure, max(1.0, float(known.scatter.within.max())), at.late is not None,
     )  # fmt: skip
 
 
@@ -119,34 +119,31 @@ def taps_of(rig: Rig, outputs: int, slopes: bool) -> list[list[tuple[int, int, f
 
 
 class _Seen:
-    """The model as seen through gains and delay at η; inputs are followed by slopes if there is a delay."""
+    """The sampled model as it is seen through gains at η."""
 
-    def __init__(self, rig: Rig, eta: FloatArray, width: int) -> None:
-        self.rig, self.eta = rig, eta
-        self.slopes = bool(len(rig.of_kind("delay")))
-        self.delay = float(eta[rig.of_kind("delay")[0]]) if self.slopes else 0.0
+    def __init__(self, rig: Rig, eta: FloatArray, at: Sampled) -> None:
+        self.rig, self.late = rig, at.late
         outputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "output"}
         inputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "input"}
         p = len(rig.model.continuous(rig.model.nominal).C)
         self.output_gain = np.array([outputs.get(r, 1.0) for r in range(p)])
-        self.input_gain = np.ones(width)
+        self.input_gain = np.ones(at.B.shape[1])
         for number, gain in inputs.items():
-            self.input_gain[rig.taps_of(number)] = gain
+            self.input_gain[self._columns_of(number)] = gain
+
+    def _columns_of(self, number: int) -> IntArray:
+        """The columns of inputs that hold readings of a measured one, or their slopes."""
+        taps = self.rig.taps_of(number)
+        return np.append(taps, len(self.rig.measured) + taps) if self.late is not None else taps
 
     def model(
         self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return A, B, C, D (or a derivative of them) with gains and delay in."""
+        """Return A, B, C, D (or a derivative of them) with gains in."""
         y = self.output_gain[:, None]
-        return A, self._late(B * self.input_gain), y * C, self._late(y * D * self.input_gain)
+        return A, B * self.input_gain, y * C, y * D * self.input_gain
 
     parameter = model
-
-    def _late(self, M: FloatArray) -> FloatArray:
-        """Append the slopes' columns: u(k) − d (u(k) − u(k−1))."""
-        if not self.slopes:
-            return M
-        return np.hstack([M, -self.delay * M * self.rig.driven])
 
     def sensor(
         self, number: int, base: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -158,11 +155,11 @@ class _Seen:
         if constant.kind == "output":
             dC[constant.number], dD[constant.number] = C[constant.number], D[constant.number]
         elif constant.kind == "input":
-            taps = self.rig.taps_of(constant.number)
-            columns = np.concatenate([taps, taps + m]) if self.slopes else taps
+            columns = self._columns_of(constant.number)
             dB[:, columns], dD[:, columns] = B[:, columns], D[:, columns]
-        else:
-            dB[:, m:], dD[:, m:] = -B[:, :m] * self.rig.driven, -D[:, :m] * self.rig.driven
+        elif self.late is not None:
+            late = self.late[constant.number] * self.input_gain[m:]
+            dB[:, m:], dD[:, m:] = late[: len(A)], self.output_gain[:, None] * late[len(A) :]
         return dA, dB, dC, dD
 
 

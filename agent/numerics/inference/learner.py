@@ -170,9 +170,12 @@ class Learner:
     def solve(
         self, window: Window, known: Knowledge, steps: int = tuning.STEPS
     ) -> tuple[Posterior, FloatArray]:
-        """Return what a window says under what is known, and where it came to rest; nothing is learnt."""
+        """Return what a window says under what is known, and where it came to rest; nothing is learnt.
+
+        Nor of the constants: it may share most of its samples with one that was learnt from.
+        """
         at = self.lineariser.linearised(window, known, jumps=known.noise.is_started, steps=steps)
-        return self._posterior(at, known), at.theta
+        return self._posterior(at, known, known.constants), at.theta
 
     def at_point(self, window: Window, known: Knowledge, jumps: bool = False) -> Linearised:
         """Return a window linearised at what is known, wherever its own best parameters are."""

@@ -16,7 +16,7 @@ from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source, directions
 from agent.numerics.inference.spectral.tuning import ALL_BINS, MOST_BINS
-from agent.numerics.model.uncertain import Rig, sampled, unit_of
+from agent.numerics.model.uncertain import Rig, delays_of, sampled, unit_of
 from agent.types import ComplexArray, FloatArray, IntArray
 
 
@@ -95,14 +95,15 @@ class Lineariser:
 
     def _at(self, theta: FloatArray, known: Knowledge, kept: int) -> Response:
         """The response at a point; the last one is kept."""
-        log_mass = known.eta[: self.rig.masses]
+        log_mass, delays = known.eta[: self.rig.masses], delays_of(self.rig, known.eta)
         old = self._response
         same = (
             old is not None and old.bins.kept == kept
             and np.array_equal(old.at.theta, theta) and np.array_equal(old.at.log_mass, log_mass)
+            and (delays is None or np.array_equal(old.at.delays, delays))
         )  # fmt: skip
         if old is None or not same:
-            old = Response(sampled(self.rig, theta, log_mass), bins_of(self.window, kept))
+            old = Response(sampled(self.rig, theta, log_mass, delays), bins_of(self.window, kept))
             self._response, self._cells = old, None
         return old
 

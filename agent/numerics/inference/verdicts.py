@@ -1,6 +1,6 @@
 """What the hypotheses on the constants say: which constant is off, by how much, how surely."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,13 +35,24 @@ class Belief:
 
 def beliefs(constants: Constants, kinds: tuple[str, ...]) -> tuple[Belief, ...]:
     """Return a belief for each hypothesis that something is off; kinds (c,) of the constants."""
-    found = []
+    found: dict[str, Belief] = {}
     for h, weight, mean, covariance in zip(
         constants.hypotheses, constants.weight, constants.mean, constants.covariance, strict=True
     ):
         if h.members.any():
-            found.append(_belief(h, float(weight), mean, covariance, kinds))
-    return tuple(found)
+            belief = _belief(h, float(weight), mean, covariance, kinds)
+            same = found.get(belief.label)
+            found[belief.label] = belief if same is None else _together(same, belief)
+    return tuple(found.values())
+
+
+def _together(one: Belief, other: Belief) -> Belief:
+    """Two ways in which the same may be off, as one: mean and sd of their mixture."""
+    probability = one.probability + other.probability
+    share = one.probability / max(probability, 1e-300)
+    size = share * one.size + (1 - share) * other.size
+    square = share * (one.sd**2 + one.size**2) + (1 - share) * (other.sd**2 + other.size**2)
+    return replace(one, probability=probability, size=size, sd=float(np.sqrt(max(square - size**2, 0.0))))
 
 
 def _belief(

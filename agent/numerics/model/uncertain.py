@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from agent.numerics.model.holds import sample, straight, taps
-from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
+from agent.numerics.model.statespace import Discrete, Hold, Model, StateSpace, discretise
 from agent.types import BoolArray, FloatArray, IntArray
 
 Kind = Literal["mass", "output", "input", "delay"]
@@ -19,7 +19,8 @@ class Constant:
     Attributes:
         name: of the mass or channel; "delay" for the delay of the inputs.
         kind: a mass, an output's or an input's gain, or the delay of all measured inputs.
-        number: which mass (of the model's parameters after θ), output or input it belongs to.
+        number: which mass (of the model's parameters after θ), output or input it belongs to; of delays 0
+            where a reading itself is late, 1 where it is held until the next (½ sample).
         sheet: standard deviation of its logarithm; of the delay: samples.
         shows: whether data can tell that it is off: no gain can be told where all masses are estimated or
             absent.
@@ -119,8 +120,10 @@ class Sampled:
         E, F: (n, d), (p, d) for unknown forces f.
         dA, dB, dC, dD: the derivatives of A, B, C, D by θ_i in units of `unit`, then by each mass's
             logarithm.
-        theta, log_mass: the point.
+        theta, log_mass, delays: the point.
         unit: (q,) what a deviation of 1 means for each parameter.
+        late: (2, n + p, m) derivatives of the slopes' columns of B, above those of D, by the delays; with
+            them u is followed by the slopes u(k) − u(k−1). None of a rig whose inputs are never late.
     """
 
     A: FloatArray
@@ -136,6 +139,8 @@ class Sampled:
     theta: FloatArray
     log_mass: FloatArray
     unit: FloatArray
+    delays: FloatArray | None
+    late: FloatArray | None
 
     @property
     def n(self) -> int:
@@ -148,20 +153,53 @@ def unit_of(rig: Rig, theta: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(np.abs(theta), 0.1 * rig.scale))
 
 
-def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray) -> Sampled:
-    """Return the sampled model at θ (q,) and masses nominal · exp(log_mass)."""
+def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray, delays: FloatArray | None = None) -> Sampled:
+    """Return the sampled model at θ (q,), masses nominal · exp(log_mass), and delays (see `delays_of`)."""
     mass = rig.model.nominal[rig.q :] * np.exp(log_mass)
     continuous = rig.model.continuous(np.concatenate([theta, mass]))
-    model = discretise(continuous, rig.period_s, straight(rig.hold)).model
+    discrete = discretise(continuous, rig.period_s, straight(rig.hold))
+    model = discrete.model
     B, D, dB, dD = _stacked(rig, continuous, model)
+    late = None
+    if delays is not None:
+        (B, D, dB, dD), late = _late(rig, discrete, (B, D, dB, dD), delays)
     unit = unit_of(rig, theta)
     steps = np.concatenate([unit, mass])[:, None, None]
     f = rig.pushed
     return Sampled(
         model.A, B, model.C, D, model.B[:, f], model.D[:, f],
         model.dA * steps, dB * steps, model.dC * steps, dD * steps,
-        theta.copy(), log_mass.copy(), unit,
+        theta.copy(), log_mass.copy(), unit, delays, late,
     )  # fmt: skip
+
+
+def _late(
+    rig: Rig, discrete: Discrete, given: tuple[FloatArray, ...], delays: FloatArray
+) -> tuple[list[FloatArray], FloatArray]:
+    """Return B, D, dB, dD with columns of the slopes after them, and their derivatives by the delays.
+
+    With slopes s(k) = u(k) − u(k−1) an input one sample late is u less s. One that is held from sample to
+    sample, half a sample late but seen at once where it is seen directly, is u less what A B1 s(k) drives,
+    seen by C B1. Either is exact there, and a straight line between.
+    """
+    model, u = discrete.model, rig.measured
+    B1, dB1 = discrete.B1[:, u], discrete.dB1[:, :, u]
+    held = (model.A @ B1, model.C @ B1, model.dA @ B1 + model.A @ dB1, model.dC @ B1 + model.C @ dB1)
+    if not B1.any():  # of a model given in discrete time nobody knows what runs between samples
+        held = tuple(0.5 * whole for whole in given)
+    less = np.where(rig.driven, -1.0, 0.0)
+    whole, half = ([less * part for part in parts] for parts in (given, [2 * part for part in held]))
+    slopes = [delays[0] * one + delays[1] * two for one, two in zip(whole, half, strict=True)]
+    late = np.stack([np.vstack(parts[:2]) for parts in (whole, half)])
+    return [np.concatenate(pair, axis=-1) for pair in zip(given, slopes, strict=True)], late
+
+
+def delays_of(rig: Rig, eta: FloatArray) -> FloatArray | None:
+    """Return the delays (2,) among constants (c,), samples; None of a rig whose inputs are never late."""
+    found = rig.of_kind("delay")
+    delays = np.zeros(2)
+    delays[[rig.constants[i].number for i in found]] = eta[found]
+    return delays if len(found) else None
 
 
 def _stacked(

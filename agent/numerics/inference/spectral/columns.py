@@ -23,8 +23,7 @@ class Window:
     Attributes:
         y: (W, p) outputs, lost readings filled in.
         u: (W, m) inputs.
-        slope: (W, m) change of each input since the sample before: a straight line is late by d samples as u
-            − d·slope.
+        slope: (W, m) change of each input since the sample before, by which inputs are late.
         lost: (l, 2) row and channel (outputs, then inputs) of readings that were filled in.
         lost_sd: (l,) prior sd of what the fill-in is wrong by; inf for outputs (the reading counts for
             nothing).
@@ -151,7 +150,8 @@ class Regressor:
 
     Args:
         rig, response, sources: what is modelled.
-        eta: (c,) deviations of the constants at which the model stands; masses are in the response already.
+        eta: (c,) deviations of the constants at which the model stands; masses and the delay are in the
+            response already.
     """
 
     def __init__(self, rig: Rig, response: Response, sources: tuple[Source, ...], eta: FloatArray) -> None:
@@ -164,16 +164,17 @@ class Regressor:
             if constant.kind == "output":
                 self.output_gain[constant.number] = np.exp(eta[i])
             elif constant.kind == "input":
-                self.input_gain[rig.taps_of(constant.number)] = np.exp(eta[i])
-        delays = rig.of_kind("delay")
-        self.delay = float(eta[delays[0]]) if len(delays) else 0.0
+                self.input_gain[self._columns_of(constant.number)] = np.exp(eta[i])
+
+    def _columns_of(self, number: int) -> IntArray:
+        """The columns of inputs that hold readings of a measured one, or their slopes."""
+        taps = self.rig.taps_of(number)
+        return np.append(taps, len(self.rig.measured) + taps) if self.response.at.late is not None else taps
 
     def inputs(self, window: Window) -> FloatArray:
-        """Return the inputs (W, m) with gains and delay put right."""
-        if not self.delay:
-            return np.asarray(self.input_gain * window.u)
-        late = np.where(self.rig.driven, self.delay * window.slope, 0.0)
-        return np.asarray(self.input_gain * (window.u - late))
+        """Return the inputs (W, m) with gains put right; beside them their slopes, where they may be late."""
+        late = self.response.at.late is not None
+        return np.asarray(self.input_gain * (np.hstack([window.u, window.slope]) if late else window.u))
 
     def layout(self, window: Window, cuts: int) -> Layout:
         """Return where the columns stand."""
@@ -220,7 +221,7 @@ class Regressor:
             X[0] = sums[-1] / np.sqrt(bins.window)
         modelled = self._outputs(X, low)
         parts = [gamma, self._ends(), self._lost(window), *self._parameters(X, low)]
-        parts.append(self._constants(window, modelled, u, low))
+        parts.append(self._constants(modelled, low))
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
         X_all = np.concatenate(parts, axis=2)
@@ -300,9 +301,7 @@ class Regressor:
         columns = self.response.columns(X, U) * self.output_gain[:, None]
         return [columns[..., : self.rig.q], columns[..., self.rig.q :]]
 
-    def _constants(
-        self, window: Window, modelled: ComplexArray, u: FloatArray, U: ComplexArray
-    ) -> ComplexArray:
+    def _constants(self, modelled: ComplexArray, U: ComplexArray) -> ComplexArray:
         """Columns of gains and delay, in the order of the rig's constants after the masses."""
         kept, p = modelled.shape
         rig = self.rig
@@ -312,14 +311,11 @@ class Regressor:
             if constant.kind == "output":
                 column[:, constant.number] = modelled[:, constant.number]
             elif constant.kind == "input":
-                taps = rig.taps_of(constant.number).tolist()
+                taps = self._columns_of(constant.number).tolist()
                 column = np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
-            else:
-                slope = unitary(np.where(self.rig.driven, self.input_gain * window.slope, 0.0))[:kept]
-                late = [
-                    self.response.driven(j, slope[:, j]) for j in np.flatnonzero(self.rig.driven).tolist()
-                ]
-                column = -np.sum(late, axis=0) * self.output_gain
+            elif (late := self.response.at.late) is not None:
+                slopes = U[:, len(rig.measured) :]
+                column = self.response.delayed(late[constant.number], slopes) * self.output_gain
             columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)
 

@@ -55,7 +55,7 @@ class Response:
         at: the sampled model.
         weight: (C,) bins each cell stands for; 0 where the bin lies on a pole.
         R: (kept, n, n) resolvent (zI − A)⁻¹;  CR: (kept, p, n) C R.
-        H: (C, p, d) response to unknown forces;  HU: (kept, p, m) to measured inputs.
+        H: (C, p, d) response to unknown forces;  HU: (kept, p, m) to measured inputs, then to slopes.
         is_free: a mass that nothing holds.
         left: (f, n) momenta w of free masses.
         starts: (n, n − f) initial states that Γ shows;  still: (n, f) places that only bin 0 shows.
@@ -110,6 +110,13 @@ class Response:
         """Return the response (kept, p), modulo Γ, to a signal (kept,) at one measured input."""
         found = self.HU[:, :, number] * signal[:, None]
         return np.asarray(self._closed(found[..., None], self.at.B[:, [number]] * signal[0].real)[..., 0])
+
+    def delayed(self, late: FloatArray, slopes: ComplexArray) -> ComplexArray:
+        """Return d y (kept, p), modulo Γ, by a delay (n + p, m), from the slopes' DFT (kept, m)."""
+        n = self.at.n
+        change = slopes @ late.T
+        found = (self.CR @ change[:, :n, None])[..., 0] + change[:, n:]
+        return np.asarray(self._closed(found[..., None], change[:1, :n].real.T)[..., 0])
 
     def pushed(self, number: int, signal: ComplexArray) -> ComplexArray:
         """Return the response (kept, p), modulo Γ, to a signal (kept,) at one unknown force."""

@@ -35,3 +35,16 @@ def test_verdict_names_size_and_kind() -> None:
     assert found["m1"].kind == "mass"
     assert found["m1"].size == pytest.approx(0.0)
     assert sum(b.probability for b in found.values()) < 0.5
+
+
+def test_ways_in_which_the_same_may_be_off_are_one_belief() -> None:
+    late = tuple(Constant("delay", "delay", number, 0.2) for number in (0, 1))
+    prior = Constants.prior(hypotheses_of(late))
+    ways = [i for i, h in enumerate(prior.hypotheses) if h.name == "delay"]
+    mean = prior.mean.copy()
+    mean[ways[0], 0], mean[ways[1], 1] = 0.3, 0.5
+    (found,) = beliefs(Constants(prior.hypotheses, prior.weight, mean, prior.covariance), ("delay", "delay"))
+    assert found.probability == pytest.approx(prior.probability("delay"))
+    assert found.size == pytest.approx(0.4)
+    spread = prior.covariance[ways[0], 0, 0]
+    assert found.sd == pytest.approx(np.hypot(np.sqrt(spread), 0.1))

@@ -256,10 +256,11 @@ def poles_of(config: RigConfig) -> ComplexArray:
     """Return the poles at nominal (n,), rad/s."""
     model = rig_model(config).model
     at = model.continuous(model.nominal)
-    poles = np.asarray(np.linalg.eigvals(at.A), dtype=np.complex128)
+    poles: ComplexArray = np.asarray(np.linalg.eigvals(at.A), dtype=np.complex128)
     if at.is_sampled:
-        poles = np.log(np.where(poles == 0, LEAST, poles)) * config.rig.sample_rate_hz
-    return np.asarray(poles, dtype=np.complex128)
+        rate = np.log(np.where(poles == 0, LEAST + 0j, poles)) * config.rig.sample_rate_hz
+        return np.asarray(rate, dtype=np.complex128)
+    return poles
 
 
 def swing_length(config: RigConfig) -> int:

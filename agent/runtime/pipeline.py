@@ -59,7 +59,7 @@ class Taken(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """Samples on their way from the quality block to the estimation, and what was found of the sources meanwhile."""
+    """Samples between the quality block and the estimation, and what was found of the sources meanwhile."""
 
     parts: list[Labelled]
     events: list[Record]
@@ -165,7 +165,7 @@ class Pipeline:
         return records + self._beside(events, self.newest_ns)
 
     def prepare(self) -> Prepared:
-        """Do of `compute` what needs no estimate to be known: another thread may, while `estimate` runs for the last."""
+        """Do what of `compute` needs no estimate: another thread may, while `estimate` runs."""
         return Prepared(list(self._prepared()), self._take_events(), self.newest_ns)
 
     def estimate(self, prepared: Prepared) -> list[Record]:

@@ -100,7 +100,7 @@ class Lineariser:
         same = (
             old is not None and old.bins.kept == kept
             and np.array_equal(old.at.theta, theta) and np.array_equal(old.at.log_mass, log_mass)
-            and (delays is None or np.array_equal(old.at.delays, delays))
+            and (delays is None or (old.at.delays is not None and np.array_equal(old.at.delays, delays)))
         )  # fmt: skip
         if old is None or not same:
             old = Response(sampled(self.rig, theta, log_mass, delays), bins_of(self.window, kept))

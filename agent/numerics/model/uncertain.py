@@ -186,7 +186,7 @@ def _late(
     B1, dB1 = discrete.B1[:, u], discrete.dB1[:, :, u]
     held = (model.A @ B1, model.C @ B1, model.dA @ B1 + model.A @ dB1, model.dC @ B1 + model.C @ dB1)
     if not B1.any():  # of a model given in discrete time nobody knows what runs between samples
-        held = tuple(0.5 * whole for whole in given)
+        held = (0.5 * given[0], 0.5 * given[1], 0.5 * given[2], 0.5 * given[3])
     less = np.where(rig.driven, -1.0, 0.0)
     whole, half = ([less * part for part in parts] for parts in (given, [2 * part for part in held]))
     slopes = [delays[0] * one + delays[1] * two for one, two in zip(whole, half, strict=True)]

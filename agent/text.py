@@ -12,6 +12,11 @@ _AHEAD = (
 )  # fmt: skip
 
 
+def behind(unit: str) -> str:
+    """Return a unit as it stands behind a number; nothing of none, or of 1."""
+    return "" if unit in {"", "1"} else f" {unit}"
+
+
 def with_sd(value: float, sd: float) -> str:
     """Write a value beside its standard deviation, both to the digits the deviation allows: `25.1 ± 0.9`.
 

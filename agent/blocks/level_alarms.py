@@ -22,7 +22,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from agent.numerics.exceedance import Deviations
-from agent.text import number, with_sd
+from agent.text import behind, number, with_sd
 from agent.types import AlarmState, AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray, Status
 
 _RAISED: Final[Mapping[AlarmState, AlarmState]] = {"NORM": "UNACK", "RTNUN": "UNACK"}
@@ -250,9 +250,8 @@ class _Judgement:
 
     def _sentence(self, i: int, delta: float, sd: float, *, raising: bool) -> str:
         column = self.columns[i]
-        unit = "" if self.batch.units[column] == "1" else f"{self.batch.units[column]} "
         figures = (
-            f"{with_sd(abs(delta), sd)} {unit}{self._place(column, delta)} "
+            f"{with_sd(abs(delta), sd)}{behind(self.batch.units[column])} {self._place(column, delta)} "
             f"(limit {number(float(self.limit[i]))})"
         )
         remark = self.batch.remarks[column] if self.batch.remarks is not None else ""

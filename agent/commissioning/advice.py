@@ -14,6 +14,7 @@ from agent.config.reading.units import near_miss
 from agent.errors import Fault
 from agent.numerics.model.statespace import modes
 from agent.runtime.sources import source_hints, unordered_sources
+from agent.text import behind
 
 
 def warnings(
@@ -91,7 +92,9 @@ def _predicted(
             enough = config.estimator.resolve * limit
             if limit > 0 and isfinite(sd) and sd > enough:
                 window_s = prediction.window / rate
-                what = f"{window_s:g} s tell {parameter.name} to ± {sd:.2g} {parameter.unit}, more than "
+                what = (
+                    f"{window_s:g} s tell {parameter.name} to ± {sd:.2g}{behind(parameter.unit)}, more than "
+                )
                 what += f"resolve x limit = {enough:.2g} ({prediction.assumes})"
                 yield Fault("estimator.window_s", what, _remedy(config, sd / enough, window_s))
         if not np.all(np.isfinite(prediction.sd)) and recorded is not None:

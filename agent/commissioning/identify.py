@@ -58,7 +58,7 @@ T975 = 1.96
 LOOK_FOR = "look for an element, a force or a mass that the graph lacks, or for a channel that is wrong"
 LOOK_AGAIN = (
     "begin at nominals nearer to the machine's, or look for a state, an input or an offset "
-    "that the model lacks, or for a channel that is wrong"
+    "that the model lacks, for a channel that is wrong, or for a change within the recordings"
 )
 
 

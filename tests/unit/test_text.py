@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from agent.text import interval, iso_time, number, short_time, with_sd
+from agent.text import behind, interval, iso_time, number, short_time, with_sd
 
 NAN = float("nan")
 
@@ -63,3 +63,7 @@ def test_iso_time_has_nine_decimals(t_ns: int, text: str) -> None:
 def test_short_time_has_milliseconds() -> None:
     assert short_time("2026-02-02T02:40:00.123456789Z") == "2026-02-02 02:40:00.123Z"
     assert short_time(None) == ""
+
+
+def test_unit_behind_a_number_is_left_out_where_there_is_none() -> None:
+    assert [f"3{behind(unit)}" for unit in ("N/m", "", "1", "1/s")] == ["3 N/m", "3", "3", "3 1/s"]

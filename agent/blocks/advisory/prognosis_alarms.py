@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from agent.blocks.advisory.outlook import Outlook
-from agent.text import ahead, number, with_sd
+from agent.text import ahead, behind, number, with_sd
 from agent.types import AlarmKind, AlarmState, AlarmTransition
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def _foreseen(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
 
 
 def _forecast_words(outlook: Outlook, made: "Forecast", within_s: float, *, near: bool) -> str:
-    limit = f"its limit {number(outlook.way)}{_unit(outlook.unit)}"
+    limit = f"its limit {number(outlook.way)}{behind(outlook.unit)}"
     if made.p10 is None or made.p50 is None or made.p90 is None:
         return f"{outlook.parameter}: nothing leads to {limit} any more"
     p10, p50, p90 = (ahead(days * DAY_S) for days in (made.p10, made.p50, made.p90))
@@ -160,7 +160,7 @@ def _drift(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
     faster = _faster(change.rates, rule.side, rate)
     slower = 1.0 - _faster(change.rates, rule.side, (1.0 - DEADBAND) * rate)
     is_fast = faster >= rule.confidence
-    slope = f"{with_sd(abs(change.newest), change.newest_sd)}{_unit(outlook.unit)} a day"
+    slope = f"{with_sd(abs(change.newest), change.newest_sd)}{behind(outlook.unit)} a day"
     lead = f"{'falls' if change.newest < 0.0 else 'rises'} by" if is_fast else "is slow again, changes by"
     words = f"{outlook.parameter} {lead} {slope} (limit {number(rate)})"
     return _Finding(
@@ -179,7 +179,3 @@ def _faster(rates: "Rates", side: str, rate: float) -> float:
     rising = rates.above(rate)
     falling = 1.0 - rates.above(-rate)
     return {"high": rising, "low": falling}.get(side, rising + falling)
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"

@@ -25,7 +25,7 @@ from agent.runtime.forecasts.histories import (
 )
 from agent.storage.read import queries
 from agent.storage.read.tables import is_table, table_points
-from agent.text import iso_time, number, short_time, with_sd
+from agent.text import behind, iso_time, number, short_time, with_sd
 
 Document = Mapping[str, Any]
 _BARS = "▁▂▃▄▅▆▇█"
@@ -178,7 +178,7 @@ def _sentences(found: Document) -> str:
         return f"{name}: no valid rows in that time"
     unit = unit_of(found)
     _, newest, sd = found["points"][-1]
-    lines = [f"{name}: newest {with_sd(newest, sd)} {unit} at {short_time(found['until'])}"]
+    lines = [f"{name}: newest {with_sd(newest, sd)}{behind(unit)} at {short_time(found['until'])}"]
     lines.append(
         f"{found['n']} rows since {short_time(found['since'])}, "
         f"{found['n_disjoint']} of them share no samples"
@@ -191,9 +191,8 @@ def _sentences(found: Document) -> str:
     if found["slope_lower"] is None:
         lines.append("too few rows to tell a drift")
     else:
-        lines.append(
-            f"line there: {with_sd(found['value'], found['sd'])} {unit}; {drift(found)}: {finding(found)}"
-        )
+        there = f"{with_sd(found['value'], found['sd'])}{behind(unit)}"
+        lines.append(f"line there: {there}; {drift(found)}: {finding(found)}")
     if found["limit"] is not None:
         lines.append(f"limit {number(found['limit'])} {unit}: {_distance(found, newest)}".replace("  ", " "))
         lines += [forecast_words(found), *record_words(found["forecast"])]

@@ -17,6 +17,7 @@ from agent.numerics.model.observer import unobservable_states
 from agent.numerics.model.sensors import SensedModel
 from agent.numerics.model.statespace import AffineModel, Model
 from agent.runtime.assembly.number_checks import number_faults, observer_faults
+from agent.text import behind
 from agent.types import FloatArray
 
 ESTIMATE = "estimator.estimate"
@@ -93,7 +94,7 @@ def blend_in_words(rig: RigModel, blend: FloatArray) -> str:
 def _change(parameter: Parameter, change: float, *, share: bool) -> str:
     if parameter.nominal:
         return f"{parameter.name} by {change / abs(parameter.nominal):+.2g} %"
-    return f"{parameter.name} by {change / 100 if share else change:+.2g} {parameter.unit}"
+    return f"{parameter.name} by {change / 100 if share else change:+.2g}{behind(parameter.unit)}"
 
 
 def _silent_advice(rig: RigModel, measured: int, number: int) -> str:

@@ -41,9 +41,9 @@ from agent.types import ComplexArray, FloatArray
 PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
 """Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
 SHORTEST = 128
-NEARED, LONGER = 2, 6
-"""Periods of the fastest swinging mode in the first windows by which nominals of linear models come near, and
-how many times longer the next ones are."""
+FIRST_PERIODS, GROWTH = 2, 6
+"""Periods of the fastest mode that oscillates in the first windows of a linear model, and how many times longer
+the next ones are."""
 UNEXPLAINED = 0.02
 """Share of a motion, its sensor's noise taken off, beyond which the graph is not the machine's."""
 PULLED = 5.0
@@ -104,7 +104,7 @@ def identify(
 def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tuple[Found, float]:
     if not isinstance(rig.model, MechanicsModel):
         records = read_records(rig, recordings, progress)
-        return joined(neared(rig, records, progress), records, progress), _span_s(records)
+        return joined(started_linear(rig, records, progress), records, progress), _span_s(records)
     blank = with_blanks(rig)
     require_motion_sensors(blank)
     records = read_records(blank, recordings, progress)
@@ -123,7 +123,7 @@ def _span_s(records: Sequence[Recorded]) -> float:
     return float(sum(record.facts["span_s"] for record in records))
 
 
-def neared(rig: RigConfig, records: Sequence[Recorded], progress: Progress) -> RigConfig:
+def started_linear(rig: RigConfig, records: Sequence[Recorded], progress: Progress) -> RigConfig:
     """Return a linear model or template with nominals from ever longer windows, begun at its own.
 
     Over two periods a motion is nearly that of the nominals, however far off their frequencies are.
@@ -131,12 +131,12 @@ def neared(rig: RigConfig, records: Sequence[Recorded], progress: Progress) -> R
     if faults := model_faults(rig, rig_model(rig)):
         raise ModelError(faults)
     last = window_length(rig, records)
-    window = swing_length(rig)
+    window = first_window_length(rig)
     while window < last:
         said, used, _ = pool(rig, records, window, progress)
         names = [parameter.name for parameter in rig_model(used).parameters]
         rig = with_nominals(rig, dict(zip(names, said.theta.tolist(), strict=True)))
-        window *= LONGER
+        window *= GROWTH
     return rig
 
 
@@ -263,13 +263,13 @@ def poles_of(config: RigConfig) -> ComplexArray:
     return poles
 
 
-def swing_length(config: RigConfig) -> int:
-    """Return the length of a linear model's first windows, samples: periods of its fastest swinging mode."""
+def first_window_length(config: RigConfig) -> int:
+    """Return the length of a linear model's first windows, samples: periods of the fastest oscillation."""
     poles = poles_of(config)
     rate = config.rig.sample_rate_hz
-    swings = np.abs(poles[(np.abs(poles.imag) > np.abs(poles.real)) & (np.abs(poles) < pi * rate / 2)])
-    period_s = 2 * pi / swings.max() if len(swings) else slowest_period_s(config)
-    return int(np.clip(NEARED * period_s * rate, SHORTEST, LONGEST))
+    oscillating = np.abs(poles[(np.abs(poles.imag) > np.abs(poles.real)) & (np.abs(poles) < pi * rate / 2)])
+    period_s = 2 * pi / oscillating.max() if len(oscillating) else slowest_period_s(config)
+    return int(np.clip(FIRST_PERIODS * period_s * rate, SHORTEST, LONGEST))
 
 
 def slowest_period_s(config: RigConfig) -> float:

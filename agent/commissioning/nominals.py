@@ -30,10 +30,10 @@ def write_nominals(config: RigConfig, values: Mapping[str, float]) -> None:
     if isinstance(config.model, MechanicsModel):
         replace_file(config.file, edited(text, values, config.file))
     else:
-        replace_file(config.file, renumbered(text, moved(config.model, values), config.file))
+        replace_file(config.file, with_numbers(text, moved(config.model, values), config.file))
 
 
-def renumbered(text: str, numbers: Mapping[Place, float], file: Path) -> str:
+def with_numbers(text: str, numbers: Mapping[Place, float], file: Path) -> str:
     """Return a configuration's text with other numbers at places under its [model]. Raises UsageError."""
     for place, value in numbers.items():
         raw = parse_toml(text.encode("utf-8"), file)

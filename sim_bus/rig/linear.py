@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sim_bus.arrays import FloatArray
+from sim_bus.rig.domains.between import Between, LinearMotion
 from sim_bus.rig.plant import PlantError
 
 MATRICES = "ABCD"
@@ -65,28 +66,6 @@ class Linear(_Part):
 
 
 @dataclass(frozen=True)
-class Between:
-    """A rig between its channels.
-
-    Attributes:
-        inputs, outputs: names of the channels.
-    """
-
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-
-    @property
-    def nodes(self) -> tuple[str, ...]:
-        """Where a force of a scenario may act: the inputs."""
-        return self.inputs
-
-    @property
-    def massless(self) -> frozenset[str]:
-        """Nodes without inertia: there are no nodes."""
-        return frozenset()
-
-
-@dataclass(frozen=True)
 class LinearSystem(Between):
     """A linear rig; table: its matrices."""
 
@@ -135,29 +114,8 @@ class LinearSystem(Between):
                 found[name] += change * self._matrix(f"d{name}", getattr(parameter, f"d{name}"))
         return found
 
-    def equations(self, values: Values) -> "LinearMotion":
+    def equations(self, values: Values) -> LinearMotion:
         """Return the motion for one set of parameters and entries."""
         found = self.matrices(values)
         sampled = self.table.time == "discrete"
         return LinearMotion(self, found["A"], found["B"], found["C"], found["D"], is_sampled=sampled)
-
-
-@dataclass(frozen=True)
-class LinearMotion:
-    """x' = F x + G u with what its outputs read, for one set of parameters."""
-
-    system: Between
-    F: FloatArray
-    G: FloatArray
-    C: FloatArray
-    D: FloatArray
-    is_sampled: bool = False
-
-    def node(self, name: str) -> int:
-        """Return an input's number."""
-        return self.system.inputs.index(name)
-
-    def output(self, _quantity: str, name: str) -> tuple[FloatArray, FloatArray]:
-        """Return the rows (h, j) with reading = h x + j u of an output channel."""
-        number = self.system.outputs.index(name)
-        return self.C[number], self.D[number]

@@ -10,7 +10,7 @@ import pytest
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
-from agent.commissioning.nominals import renumbered, with_nominals
+from agent.commissioning.nominals import with_numbers, with_nominals
 from agent.config import load
 from agent.errors import UsageError
 from sim_bus.rig.rigfile import checked, read_rig
@@ -115,4 +115,4 @@ def test_matrix_that_stands_in_a_file_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(
         UsageError, match=r'value of "model\.A\[0\]\[1\]" is found.*enter 0\.5 there yourself'
     ):
-        renumbered(text, {("A", 0, 1): 0.5}, tmp_path / "rig.toml")
+        with_numbers(text, {("A", 0, 1): 0.5}, tmp_path / "rig.toml")

@@ -42,8 +42,8 @@ PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
 """Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
 SHORTEST = 128
 FIRST_PERIODS, GROWTH = 2, 6
-"""Periods of the fastest mode that oscillates in the first windows of a linear model, and how many times longer
-the next ones are."""
+"""Periods of the fastest mode that oscillates in the first windows of a linear model, and how many times
+longer the next ones are."""
 UNEXPLAINED = 0.02
 """Share of a motion, its sensor's noise taken off, beyond which the graph is not the machine's."""
 PULLED = 5.0

@@ -10,7 +10,7 @@ import pytest
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
-from agent.commissioning.nominals import with_numbers, with_nominals
+from agent.commissioning.nominals import with_nominals, with_numbers
 from agent.config import load
 from agent.errors import UsageError
 from sim_bus.rig.rigfile import checked, read_rig

@@ -201,7 +201,8 @@ class Pipeline:
     def finish(self) -> list[Record]:
         """Return what the samples lead to that wait for others that will not come."""
         self._keep(self.acquisition.finish())
-        records, last = self.compute(), self.stages.quality.finish()
+        records = self.compute()
+        last = self.stages.quality.finish()
         self.acquisition.arrived(last.values)
         records += self._estimated(last)
         return records + list[Record](self.covariates.finish())

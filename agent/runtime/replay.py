@@ -1,11 +1,12 @@
 """`deltak replay`: recordings through the live pipeline, as fast as it goes."""
 
 import ctypes
+import gc
 import heapq
 import logging
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
@@ -39,6 +40,8 @@ SOURCE = "recording"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
 _COMMIT_S = 0.2
 """Between commits: little is left to write when the last block is estimated."""
+_OBJECTS = 20_000
+"""New objects between two searches for garbage, of which arrays make none: 700 cost a hundredth of all."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)
@@ -65,6 +68,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     rig = load(config)
     started = time.monotonic()
     _keep_freed_memory()
+    gc.set_threshold(_OBJECTS)
     with ExitStack() as stack:
         tracks = _tracks(rig, recordings)
         for track in tracks:
@@ -306,29 +310,29 @@ class _Piece(NamedTuple):
 
 
 def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> Iterator[list[Record]]:
-    """Yield what each block leads to, with the ledger every 10 s of samples and at the end.
-
-    While one is estimated, another thread reads and prepares the next.
-    """
-    due: int | None = None
-    pieces = _pieces(pipeline, tracks, evidence)
-    with ThreadPoolExecutor(1) as ahead:
-        coming = ahead.submit(next, pieces, None)
-        while (piece := coming.result()) is not None:
-            ledger: list[Record] = []
-            newest_ns = 0 if piece.prepared is None else piece.prepared.newest_ns
-            if piece.prepared and (due is None or not due - HEALTH_PERIOD_NS <= newest_ns < due):
-                due = newest_ns + HEALTH_PERIOD_NS
-                ledger = _ledger(pipeline, tracks, piece.prepared.waiting)  # before the next is counted
-            coming = ahead.submit(next, pieces, None)
-            if piece.covariates is not None:
-                pipeline.take_covariates(*piece.covariates)
-            if piece.prepared is not None:
-                yield [*piece.settings, *pipeline.estimate(piece.prepared)]
-            if ledger:
-                yield ledger
+    """Yield what each block leads to, with the ledger every 10 s of samples and at the end."""
+    ledgers = _Ledgers(pipeline, tracks)
+    for piece, ledger in _ahead(_pieces(pipeline, tracks, evidence), ledgers.due):
+        if piece.covariates is not None:
+            pipeline.take_covariates(*piece.covariates)
+        if piece.prepared is not None:
+            yield [*piece.settings, *pipeline.estimate(piece.prepared)]
+        if ledger:
+            yield ledger
     yield pipeline.finish()
-    yield _ledger(pipeline, tracks)
+    yield ledgers.now()
+
+
+def _ahead(
+    pieces: Iterator[_Piece], note: Callable[[_Piece], list[Record]]
+) -> Iterator[tuple[_Piece, list[Record]]]:
+    """Yield pieces, each noted before another thread makes the next while this one is used."""
+    with ThreadPoolExecutor(1) as other:
+        coming = other.submit(next, pieces, None)
+        while (piece := coming.result()) is not None:
+            noted = note(piece)
+            coming = other.submit(next, pieces, None)
+            yield piece, noted
 
 
 def _pieces(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> Iterator[_Piece]:
@@ -369,16 +373,33 @@ def _settings(rig: str, labels: SampleLabels) -> list[ClockRecord]:
     return found
 
 
-def _ledger(pipeline: Pipeline, tracks: Sequence[Track], prepared: int = 0) -> list[Record]:
-    """Return the ledger; prepared: samples that wait for the estimation alone."""
-    counts = {track.source: Counts() for track in tracks}
-    for source, driver in ((track.source, track.driver) for track in tracks):
-        counts[source].received += driver.counts.received
-        counts[source].rejected.update(driver.counts.rejected)
-        counts[source].dropped.update(driver.counts.dropped)
-        counts[source].faults.update(driver.counts.faults)
-    conservation = {source: Conservation(total, Counter()) for source, total in counts.items()}
-    return list(pipeline.ledger.health(conservation, pipeline.newest_ns, None, prepared))
+class _Ledgers:
+    """The ledgers of a replay, which are due every 10 s of samples."""
+
+    def __init__(self, pipeline: Pipeline, tracks: Sequence[Track]) -> None:
+        self._pipeline, self._tracks = pipeline, tracks
+        self._next: int | None = None
+
+    def due(self, piece: _Piece) -> list[Record]:
+        """Return the ledger as of a piece that is prepared and not estimated yet, where it is due."""
+        if piece.prepared is None:
+            return []
+        newest_ns = piece.prepared.newest_ns
+        if self._next is not None and self._next - HEALTH_PERIOD_NS <= newest_ns < self._next:
+            return []
+        self._next = newest_ns + HEALTH_PERIOD_NS
+        return self.now(piece.prepared.waiting)
+
+    def now(self, prepared: int = 0) -> list[Record]:
+        """Return the ledger; prepared: samples that wait for the estimation alone."""
+        counts = {track.source: Counts() for track in self._tracks}
+        for source, driver in ((track.source, track.driver) for track in self._tracks):
+            counts[source].received += driver.counts.received
+            counts[source].rejected.update(driver.counts.rejected)
+            counts[source].dropped.update(driver.counts.dropped)
+            counts[source].faults.update(driver.counts.faults)
+        conservation = {source: Conservation(total, Counter()) for source, total in counts.items()}
+        return list(self._pipeline.ledger.health(conservation, self._pipeline.newest_ns, None, prepared))
 
 
 def _played(tracks: Sequence[Track]) -> Iterator[tuple[Track, SampleBlock]]:

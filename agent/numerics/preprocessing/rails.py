@@ -62,7 +62,7 @@ class Rails:
         """Tell whether some channel was stopped twice at one value."""
         return bool((self._times > 1).any())
 
-    def noted(self) -> bool:
+    def any_stopped(self) -> bool:
         """Tell whether some channel was stopped at a value, once or more."""
         return not bool(np.isnan(self._value).all())
 

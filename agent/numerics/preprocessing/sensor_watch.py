@@ -126,7 +126,7 @@ class SensorWatch:
         if self._standing.still.any() or any(self._kinds):
             return b
         ahead = doubtful[b:]
-        if self._rails.noted():
+        if self._rails.any_stopped():
             met = self._rails.met(blocks.least[b:], blocks.most[b:])
             ahead = ahead | (blocks.equal[b:] & (met | (blocks.entered[b:] > 0))).any(axis=1)
         return b + int(np.argmax(ahead)) if ahead.any() else len(doubtful)

@@ -3,18 +3,18 @@
 from contextlib import suppress
 from pathlib import Path
 
-TASKS = Path("/proc/self/task")
+THREADS = Path("/proc/self/task")
 
 
 class ProcessorWait:
     """The waits of this process's threads.
 
     Args:
-        tasks: the folder with a folder a thread.
+        threads: the folder with a folder a thread.
     """
 
-    def __init__(self, tasks: Path = TASKS) -> None:
-        self._tasks = tasks
+    def __init__(self, threads: Path = THREADS) -> None:
+        self._threads = threads
         self._before = self._waited_ns()
 
     def since_last_s(self) -> float:
@@ -23,14 +23,14 @@ class ProcessorWait:
         0 where the kernel does not say. A thread that hangs cannot run, and does not wait.
         """
         before, self._before = self._before, self._waited_ns()
-        waits = [now - before.get(task, now) for task, now in self._before.items()]
+        waits = [now - before.get(thread, now) for thread, now in self._before.items()]
         return max(waits, default=0) / 1e9
 
     def _waited_ns(self) -> dict[str, int]:
         """Return what each thread has waited since it began, by its number."""
         found: dict[str, int] = {}
         with suppress(OSError):
-            for task in self._tasks.iterdir():
+            for thread in self._threads.iterdir():
                 with suppress(OSError, ValueError, IndexError):  # threads end while they are looked at
-                    found[task.name] = int((task / "schedstat").read_bytes().split()[1])
+                    found[thread.name] = int((thread / "schedstat").read_bytes().split()[1])
         return found

@@ -17,14 +17,23 @@ more)."""
 pytestmark = [pytest.mark.realtime, pytest.mark.soak, pytest.mark.timeout(TRIES * LIMIT_S)]
 
 
-def lived(folder: Path, *settings: str, script: str = "tests.systemd.inside") -> dict[str, Any]:
-    """Boot a guest and return what was found in it."""
+def lived(
+    folder: Path,
+    *settings: str,
+    script: str = "tests.systemd.inside",
+    disk: Path | None = None,
+    until: str | None = None,
+    limit_s: float = LIMIT_S,
+) -> dict[str, Any]:
+    """Boot a guest and return what was found in it; until: a file it leaves before it is switched off."""
     if not Path("/lib/systemd/systemd").exists():
         peers.missing("systemd is not installed (Debian package systemd)")
     command = ["env", *settings, sys.executable, "-m", script]
     init = Path(__file__).with_name("init.sh")
     for _ in range(TRIES):
-        status, output = guest.run(command, peers.ROOT, LIMIT_S, folder, init=init)
+        status, output = guest.run(command, peers.ROOT, limit_s, folder, init=init, disk=disk)
+        if until is not None and (folder / until).exists():
+            return {}
         if status != guest.DIED:
             break
     assert status == 0, output

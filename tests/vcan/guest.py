@@ -18,12 +18,18 @@ MODULES = "/usr/lib/uml/modules"
 
 
 def run(
-    command: Sequence[str], folder: Path, limit_s: float, kept: Path | None = None, init: Path = INIT
+    command: Sequence[str],
+    folder: Path,
+    limit_s: float,
+    kept: Path | None = None,
+    init: Path = INIT,
+    disk: Path | None = None,
 ) -> tuple[int, str]:
     """Return exit status and output of a command run in `folder` of a fresh guest; status DIED when the guest
     died.
 
-    What the command leaves in the folder that $RESULTS names goes to `kept`; init: the guest's first process.
+    What the command finds in the folder that $RESULTS names is what is in `kept`, and what it leaves there
+    goes to it; init: the guest's first process; disk: a file that is the guest's first disk (98, 0).
     """
     linux = peers.program("linux.uml", "user-mode-linux")
     peers.program("insmod", "kmod")
@@ -33,6 +39,8 @@ def run(
         first.write_bytes(init.read_bytes())
         first.chmod(0o755)
         (results / "kept").mkdir()
+        for file in kept.glob("*.json") if kept is not None else ():
+            shutil.copy(file, results / "kept")
         (results / "lean").mkdir()
         # what python-can imports only for MF4 logs (pandas and more): a guest takes seconds over it
         (results / "lean/asammdf.py").write_text("raise ImportError\n")
@@ -41,7 +49,7 @@ def run(
             linux, "mem=512M", f"uml_dir={results}", "umid=guest", "root=/dev/root", "rootfstype=hostfs",
             "rootflags=/",
             "ro", "quiet", "loglevel=3", "panic=1", "con=null", "con0=null,fd:1", "ssl=null", f"init={first}",
-            f"results={results}", f"modules={MODULES}",
+            f"results={results}", f"modules={MODULES}", *([] if disk is None else [f"ubd0={disk}"]),
         ]  # fmt: skip
         done = subprocess.run(
             _on_one_processor(arguments),

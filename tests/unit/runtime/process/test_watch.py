@@ -102,10 +102,10 @@ def test_thread_of_an_agent_that_waits_for_the_processor_is_silent_only_while_it
 
 
 def test_wait_for_the_processor_is_that_of_the_thread_that_waited_longest(tmp_path: Path) -> None:
-    def write(**waited_ns: int) -> None:
+    def write(ran: int = 70, **waited_ns: int) -> None:
         for task, wait in waited_ns.items():
             (tmp_path / task).mkdir(exist_ok=True)
-            (tmp_path / task / "schedstat").write_text(f"70 {wait} 3\n")
+            (tmp_path / task / "schedstat").write_text(f"{ran} {wait} 3\n")
 
     write(a=1_000_000_000, b=5)
     (tmp_path / "gone").mkdir()
@@ -113,6 +113,8 @@ def test_wait_for_the_processor_is_that_of_the_thread_that_waited_longest(tmp_pa
     write(a=1_200_000_000, b=900_000_005, c=7_000_000_000)  # the last has begun meanwhile
     assert waits.since_last_s() == pytest.approx(0.9)
     assert waits.since_last_s() == 0.0
+    write(ran=400_000_070, a=2_200_000_000)  # its own thread ran for a part of it
+    assert waits.since_last_s() == pytest.approx(0.6)
     assert ProcessorWait(tmp_path / "nowhere").since_last_s() == 0.0
     assert ProcessorWait().since_last_s() >= 0.0
 

@@ -30,6 +30,8 @@ NEWEST = 3
 SURE = 2.0
 """Standard deviations of these by which they must lie beyond it; else the laws say how probable that is."""
 SEED = 15
+LEVELS = 250
+"""Draws of the newest level at which like machines are looked at."""
 COURSES = "like machines"
 """Member of the family that is no law: what like machines did from the level reached."""
 
@@ -88,8 +90,8 @@ def forecast(
     passages = first_passages(found, scale, newest, prior.later, rng, effort) * thin.span
     family = _weights(found)
     if like is not None and scale.relative:
-        now = newest_levels(found, scale, newest, len(passages), rng)
-        kind = alike(like.traces, scale.limit, thin.t, readings.smooth, now, rng)
+        now = newest_levels(found, scale, newest, LEVELS, rng)
+        kind = alike(like.traces, scale.limit, thin.t, readings.smooth, now, len(passages), rng)
         passages, family = _among(passages, family, kind, rng)
     passages = np.sort(passages)
     if passages[len(passages) // 2] == 0.0:

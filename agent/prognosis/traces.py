@@ -1,10 +1,11 @@
 """What like machines did from a level onward: how long each took to reach it, and what then remained.
 
-    ln r = a + c (ln e − mean ln e_j) + ε,    e time to the level, r from there to the limit
+    ln r = a + c (ln e − mean ln e_j) + d (ln h − mean ln h_j) + ε
 
-a Bayesian linear regression over the machines at the level reached now (similarity-based prognostics, Wang et
-al. 2008, PHM). The slope c says how much of a machine's pace persists: 1 where who wore slowly goes on so, 0
-where it says nothing of what is left. No law is extrapolated, so no law's error enters.
+e is the time to the level, h the share of it that the second half of the way took, r the time from there to
+the limit: a Bayesian linear regression over the machines at the level reached now (similarity-based
+prognostics, Wang et al. 2008, PHM). The slopes say how much of a machine's pace persists: 1 where who wore
+slowly goes on so, 0 where it says nothing of what is left. No law is extrapolated, so no law's error enters.
 """
 
 from collections.abc import Sequence
@@ -19,11 +20,11 @@ POINTS = 32
 """Points of a trace that are evenly spread in time, and as many in level."""
 SHORT = 0.05
 """Share of the way by which a trace may end before a limit and still say when it would have reached it."""
-USUAL = 0.3
+SPREAD = 0.3
 """Spread between machines of a kind before any is seen, in natural logarithms of a time."""
 PERSISTS = 0.5
 """How much of a pace persists before any machine is seen, and how sure that is."""
-SPREADS = USUAL * np.exp(np.linspace(-3.0, 3.0, 25))
+SPREADS = SPREAD * np.exp(np.linspace(-3.0, 3.0, 25))
 """Spreads that are thought of; a machine or two leave open which, and many settle it."""
 UNSURE = 1.0
 """Standard deviation of the spread's logarithm before any machine is seen."""
@@ -31,10 +32,10 @@ OTHER = 1.0
 """Spread of a machine of another kind about these, in the same."""
 ALIKE = 0.8
 """How probable it is beforehand that a machine is of the kind of those it is compared with."""
-PARTS = 4
+QUARTERS = 4
 """Equal times whose ways are compared with those of like machines."""
 TINY = 1e-30
-LEAST = 1e-3
+SHORTEST = 1e-3
 """Share of the time so far below which a time counts as no shorter."""
 
 
@@ -74,22 +75,34 @@ def alike(
     t: FloatArray,
     smooth: FloatArray,
     now: FloatArray,
+    draws: int,
     rng: np.random.Generator,
 ) -> Alike | None:
     """Hold a history, t (n,) days and levels (n,), against traces; None where none of them reached the limit.
 
-    now: (N,) draws of the newest level.
+    now: (N,) draws of the newest level. draws: how many of what remains are made.
     """
     known = [found for found in (_Times.of(one, limit) for one in traces) if found is not None]
     if not known:
         return None
     spent = float(t[-1] - t[0])
-    floor = LEAST * spent
+    half = 0.5 * float(smooth[-1])
+    first = float(t[int(np.argmax(np.abs(smooth) >= abs(half)))] - t[0])
     reached = np.column_stack([one.at(now) for one in known])
-    left = np.maximum(np.array([one.end for one in known]) - reached, floor)
-    remains = _regressed(np.log(np.maximum(reached, floor)), np.log(left), np.log(spent), rng)
-    sign = np.sign(limit)
-    return Alike(_probable(known, t, smooth), np.where(sign * (limit - now) <= 0.0, 0.0, np.exp(remains)))
+    before = np.array([float(one.at(np.array(half))) for one in known])
+    left = np.maximum(np.array([one.end for one in known]) - reached, SHORTEST * spent)
+    x = np.stack(_paces(reached, before, spent), axis=-1)
+    at = np.array(_paces(np.array(spent), np.array(first), spent))
+    remains = np.exp(_regressed(x, np.log(left), at, draws, rng))
+    beyond = np.resize(np.sign(limit) * (limit - now) <= 0.0, draws)
+    return Alike(_probable(known, t, smooth), np.where(beyond, 0.0, remains))
+
+
+def _paces(reached: FloatArray, before: FloatArray, spent: float) -> tuple[FloatArray, FloatArray]:
+    """Return ln of the time to a level, and ln of its share that the second half of the way took."""
+    least = SHORTEST * spent
+    whole = np.maximum(reached, least)
+    return np.log(whole), np.log(np.clip(reached - before, least, whole) / whole)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,29 +132,38 @@ class _Times:
         return np.minimum(np.interp(self.sign * level, self.way, self.day), self.end)
 
 
-def _regressed(x: FloatArray, y: FloatArray, at: float, rng: np.random.Generator) -> FloatArray:
-    """Return a draw of y at x = `at` for each row of x, y (N, n): n machines for each draw of the level."""
-    n = x.shape[1]
-    middle, mean = x.mean(axis=1), y.mean(axis=1)
-    u, v = x - middle[:, None], y - mean[:, None]
-    square, product = (u * u).sum(axis=1), (u * v).sum(axis=1)
-    slope = np.full(len(x), PERSISTS)
-    for _ in range(2):  # how much the slope's prior counts for follows from the spread about the line
-        rest = ((v - slope[:, None] * u) ** 2).sum(axis=1)
-        precision = (rest + USUAL**2) / n / PERSISTS**2
-        slope = (product + precision * PERSISTS) / (square + precision)
+def _regressed(
+    x: FloatArray, y: FloatArray, at: FloatArray, draws: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return draws (d,) of y at x = `at` (p,); x (N, n, p), y (N, n): n machines for N draws of the level."""
+    n, p = x.shape[1:]
+    middle = x.mean(axis=1)
+    mean = y.mean(axis=1)
+    u = x - middle[:, None]
+    v = y - mean[:, None]
+    square = np.einsum("kip,kiq->kpq", u, u)
+    product = np.einsum("kip,ki->kp", u, v)
+    slope = np.full((len(x), p), PERSISTS)
+    for _ in range(2):  # how much the slopes' prior counts for follows from the spread about the line
+        rest = ((v - np.einsum("kip,kp->ki", u, slope)) ** 2).sum(axis=1)
+        precision = (rest + SPREAD**2) / n / PERSISTS**2
+        ridge = square + precision[:, None, None] * np.eye(p)
+        slope = np.linalg.solve(ridge, (product + precision[:, None] * PERSISTS)[..., None])[..., 0]
+    free = n - 1.0 - np.trace(np.linalg.solve(ridge, square), axis1=1, axis2=2)
     apart = at - middle
-    chance = np.cumsum(_spreads(rest, n), axis=1)
-    spread = SPREADS[(chance < rng.uniform(size=(len(x), 1))).sum(axis=1)]
-    width = spread * np.sqrt(1.0 + 1.0 / n + apart**2 / (square + spread**2 / PERSISTS**2))
-    draw: FloatArray = mean + slope * apart + width * rng.standard_normal(len(x))
+    lever = np.einsum("kp,kp->k", apart, np.linalg.solve(ridge, apart[..., None])[..., 0])
+    centre = mean + (slope * apart).sum(axis=1)
+    chance = np.cumsum(_spreads(rest, free), axis=1)
+    of = np.resize(np.arange(len(x)), draws)
+    spread = SPREADS[(chance[of] < rng.uniform(size=(draws, 1))).sum(axis=1)]
+    draw: FloatArray = centre[of] + spread * np.sqrt(1.0 + 1.0 / n + lever[of]) * rng.standard_normal(draws)
     return draw
 
 
-def _spreads(rest: FloatArray, n: int) -> FloatArray:
-    """Return how probable each of SPREADS is (N, s); rest (N,): n machines' squares about their mean."""
-    beforehand = -0.5 * (np.log(SPREADS / USUAL) / UNSURE) ** 2
-    found = beforehand - (n - 1) * np.log(SPREADS) - 0.5 * np.divide.outer(rest, SPREADS**2)
+def _spreads(rest: FloatArray, free: FloatArray) -> FloatArray:
+    """Return how probable each of SPREADS is (N, s); rest, free (N,): sums of squares, degrees of freedom."""
+    beforehand = -0.5 * (np.log(SPREADS / SPREAD) / UNSURE) ** 2
+    found = beforehand - np.multiply.outer(free, np.log(SPREADS)) - 0.5 * np.divide.outer(rest, SPREADS**2)
     weight = np.exp(found - found.max(axis=1, keepdims=True))
     share: FloatArray = weight / weight.sum(axis=1, keepdims=True)
     return share
@@ -150,11 +172,11 @@ def _spreads(rest: FloatArray, n: int) -> FloatArray:
 def _probable(known: Sequence[_Times], t: FloatArray, smooth: FloatArray) -> float:
     """Return how probable it is that a history is one of a kind with these, of its paces over equal times."""
     spent = float(t[-1] - t[0])
-    levels = np.interp(np.linspace(t[0], t[-1], PARTS + 1), t, smooth)
+    levels = np.interp(np.linspace(t[0], t[-1], QUARTERS + 1), t, smooth)
     paces = np.array([np.diff(one.at(levels)) for one in known])
-    apart = np.log(spent / PARTS) - np.log(np.maximum(paces, LEAST * spent))
+    apart = np.log(spent / QUARTERS) - np.log(np.maximum(paces, SHORTEST * spent))
     n = len(known)
-    share = _spreads(n * np.var(apart, axis=0), n)
+    share = _spreads(n * np.var(apart, axis=0), np.full(QUARTERS, n - 1.0))
     square = np.mean(apart, axis=0)[:, None] ** 2
     odds = ALIKE / (1.0 - ALIKE)
     between = SPREADS**2 * (1.0 + 1.0 / n)

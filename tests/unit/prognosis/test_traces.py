@@ -22,7 +22,7 @@ def held_against(traces: list[Trace], until: float, shape: float, rng: np.random
     """What they say of a machine of their mean life, seen up to a share of it, whose fall has a shape."""
     share = np.linspace(0.0, until, 80)
     smooth = LIMIT * share**shape
-    return alike(traces, LIMIT, 100.0 * share, smooth, np.full(4000, smooth[-1]), rng)
+    return alike(traces, LIMIT, 100.0 * share, smooth, np.full(4, smooth[-1]), 4000, rng)
 
 
 def test_what_remains_spreads_as_it_did_for_like_machines(rng: np.random.Generator) -> None:

@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 PIP := $(PYTHON) -m pip --python $(VENV)/bin/python --disable-pip-version-check -qq
 PYTEST := $(VENV)/bin/python -m pytest
-PACED := "realtime and not soak and not bench"
+LANES := "(realtime or background) and not soak and not bench"
 
 export PIP_ROOT_USER_ACTION := ignore
 # Small matrix products are ten times slower on two BLAS threads than on one.
@@ -44,16 +44,16 @@ demo: $(VENV)/.runtime
 	@echo "starting a simulated rig and the agent that watches it ..." >&2
 	@$(VENV)/bin/deltak demo $(ARGS)
 
-# First what processes can share, the longest files first; three on two cores, since many tests wait for processes. Then
-# what holds a pace on the wall clock, one test after another, beside the one process (tests/lanes.py) whose tests have
-# none to hold. Of those that hold a pace, what a busy machine made late is asked once more with nothing beside it. Exit
-# code 5 says that ARGS left nothing to run.
+# First what processes can share, the longest files first; three on two cores, since many tests wait for processes. Then,
+# by lanes (tests/lanes.py), what holds a pace on the wall clock, one test after another; beside it what waits and has no
+# pace to hold; and, giving way to both, what only computes. What a busy machine made late is asked once more with nothing
+# beside it. Exit code 5 says that ARGS left nothing to run.
 test: $(VENV)/.develop
 	sh tests/install_peers.sh
-	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m "not realtime and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]
-	$(PYTEST) -n 2 --dist loadscope -m $(PACED) $(ARGS) || [ $$? -eq 5 ] || { \
-		echo "make test: what failed holds a pace; it is run once more, alone" >&2; \
-		$(PYTEST) -m $(PACED) --last-failed --last-failed-no-failures none $(ARGS); }
+	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m "not realtime and not background and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]
+	$(PYTEST) -n 3 --dist loadscope -m $(LANES) $(ARGS) || [ $$? -eq 5 ] || { \
+		echo "make test: what failed is run once more, alone" >&2; \
+		$(PYTEST) -m $(LANES) --last-failed --last-failed-no-failures none $(ARGS); }
 
 lint: $(VENV)/.develop
 	$(VENV)/bin/ruff check .

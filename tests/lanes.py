@@ -1,5 +1,6 @@
 """How processes that share a test run divide the tests among them."""
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -16,13 +17,32 @@ BESIDE = (
 )  # fmt: skip
 """What waits for processes and for guests, and has no clock to keep up with."""
 
+BACKGROUND, LATE = "tests/statistical/", "tests/statistical/test_coverage_coloured.py"
+"""What computes for long and waits for nothing; more than `LATE` leaves, the other lanes do not leave a
+processor for."""
+NICE = 10
+"""A process as nice as this gives way at once to one that holds a pace."""
+
 
 class Lanes(LoadScopeScheduling):
     """Tests that hold a pace on the wall clock, one after another; beside them, one after another, what has
-    none."""
+    none; and what computes, while the two wait."""
 
     def _split_scope(self, nodeid: str) -> str:
+        if computes(nodeid):
+            return "background"
         return "beside" if nodeid.startswith(BESIDE) else "pace"
+
+
+def computes(nodeid: str) -> bool:
+    """Tell whether a test has the lane of those that compute in the background."""
+    return nodeid.startswith(BACKGROUND) and not nodeid.startswith(LATE)
+
+
+def give_way(nodeid: str) -> None:
+    """Lower the priority of a process that shares a run by lanes, once its lane is the background's."""
+    if computes(nodeid) and "PYTEST_XDIST_WORKER" in os.environ:
+        os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
 
 
 def in_order(items: Iterable[pytest.Item]) -> list[pytest.Item]:
@@ -30,7 +50,9 @@ def in_order(items: Iterable[pytest.Item]) -> list[pytest.Item]:
     return sorted(items, key=lambda item: not item.nodeid.startswith(LONGEST))
 
 
-def has_no_pace(path: Path) -> bool | None:
-    """Return True for a file of tests none of which is marked realtime; None leaves it to pytest."""
+def has_no_lane(path: Path, root: Path) -> bool | None:
+    """Return True for a file of tests none of which is run by lanes; None leaves it to pytest."""
     is_tests = path.name.startswith("test_") and path.suffix == ".py"
-    return True if is_tests and "realtime" not in path.read_text(encoding="utf-8") else None
+    if not is_tests or computes(path.relative_to(root).as_posix()):
+        return None
+    return True if "realtime" not in path.read_text(encoding="utf-8") else None

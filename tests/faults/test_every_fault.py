@@ -11,11 +11,13 @@ from typing import Any
 import pytest
 
 from agent.evaluation.score.measures import Assessment
-from agent.evaluation.score.play import open_bench, play
+from agent.evaluation.score.play import play
 from sim_bus.rig.fault_names import KNOWN, names
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.virtual_time.bench import PlayedBench
 from tests.faults.played import RATE, Run, run
 
-AT_S = 1.2
+AT_S = 0.7
 LINE = {"serial": "serial", "can": "can", "modbus": "tcp"}
 OTHER_LINE = {
     "serial.nan": "text", "can.nan": "can float", "modbus.nan": "float",
@@ -127,7 +129,9 @@ named."""
 
 def sensor_run(name: str) -> tuple[Assessment, dict[str, Any], list[tuple[int, int]]]:
     """Play two masses at 1 kHz with a sensor that fails; return the verdict and runs of wrong readings."""
-    bench = open_bench("healthy", [f"{name}@1.5s+1.5s"])
+    healthy = load_scenario("healthy", {}).model_copy(update={"duration_s": 3.4})
+    assert healthy.rig is not None
+    bench = PlayedBench(healthy.folder / healthy.rig, healthy.with_faults([f"{name}@1.5s+1.5s"]))
     assess = Assessment(play(bench, lambda _share: None), bench.strikes())
     touched = assess.truth.ledger["sensors"]["x2"]["affected"]
     return assess, assess.document(), [run for runs in touched.values() for run in runs] or [(1500, 2999)]

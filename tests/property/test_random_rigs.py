@@ -31,8 +31,9 @@ def _without_what_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
         raise margins_box.DesignToolsMissingError
 
     monkeypatch.setattr(margins_box, "_cvxpy", missing)
-    monkeypatch.setattr(region, "MOST_VERTICES", 16)
-    monkeypatch.setattr(region, "INSIDE", 4)
+    monkeypatch.setattr(region, "MOST_VERTICES", 4)
+    monkeypatch.setattr(region, "FLIPPED", 1)
+    monkeypatch.setattr(region, "INSIDE", 2)
 
 
 def run(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> tuple[int, str]:

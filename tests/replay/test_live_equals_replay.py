@@ -80,26 +80,34 @@ def _recording(live: Live, folder: Path) -> Path:
     return path
 
 
-def _replayed(live: Live, folder: Path, name: str = "replay.db") -> tuple[Path, dict[str, Any]]:
-    document = replay.replay(config=live.config, recordings=[_recording(live, folder)], db=folder / name)
-    return folder / name, document
+def _replayed(live: Live, folder: Path) -> tuple[Path, dict[str, Any]]:
+    db = folder / "replay.db"
+    return db, replay.replay(config=live.config, recordings=[_recording(live, folder)], db=db)
+
+
+@pytest.fixture(scope="module")
+def replayed(live: Live) -> tuple[Path, dict[str, Any]]:
+    """The database and the document of one replay of the live samples."""
+    return _replayed(live, live.db.parent)
 
 
 def _estimates(db: Path, columns: str) -> list[tuple[Any, ...]]:
     return rows(db, f"SELECT {columns} FROM v_estimates ORDER BY t_ns, parameter")
 
 
-def test_replay_of_live_samples_gives_the_same_times_statuses_and_reasons(live: Live, tmp_path: Path) -> None:
-    db, document = _replayed(live, tmp_path)
+def test_replay_of_live_samples_gives_the_same_times_statuses_and_reasons(
+    live: Live, replayed: tuple[Path, dict[str, Any]]
+) -> None:
+    db, document = replayed
     assert document["samples"] == {"received": 3000, "used": 3000, "rejected": {}, "dropped": {}, "gaps": 0}
     assert len(_estimates(db, EXACT)) == 240
     assert _estimates(db, EXACT) == _estimates(live.db, EXACT)
 
 
 def test_replay_of_live_samples_gives_values_within_a_billionth_of_their_sd(
-    live: Live, tmp_path: Path
+    live: Live, replayed: tuple[Path, dict[str, Any]]
 ) -> None:
-    db, _ = _replayed(live, tmp_path)
+    db, _ = replayed
     ours, theirs = (np.array(_estimates(name, NUMBERS), dtype=float) for name in (db, live.db))
     np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
     sd = np.nan_to_num(theirs[:, 1:2], nan=np.inf)
@@ -108,17 +116,21 @@ def test_replay_of_live_samples_gives_values_within_a_billionth_of_their_sd(
     assert off[:, 5].max() <= 1e-9
 
 
-def test_replay_of_live_samples_raises_and_clears_the_same_alarms(live: Live, tmp_path: Path) -> None:
+def test_replay_of_live_samples_raises_and_clears_the_same_alarms(
+    live: Live, replayed: tuple[Path, dict[str, Any]]
+) -> None:
     columns = "kind, parameter, priority, state, raised_at, cleared_at, limit_value"
-    db, _ = _replayed(live, tmp_path)
+    db, _ = replayed
     query = f"SELECT {columns} FROM v_alarms WHERE kind = 'level' ORDER BY id"
     assert rows(db, query) == rows(live.db, query)
     assert len(rows(db, query)) == 6
 
 
-def test_two_replays_agree_to_the_last_bit(live: Live, tmp_path: Path) -> None:
-    first, _ = _replayed(live, tmp_path, "one.db")
-    second, _ = _replayed(live, tmp_path, "two.db")
+def test_two_replays_agree_to_the_last_bit(
+    live: Live, replayed: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    first, _ = replayed
+    second, _ = _replayed(live, tmp_path)
     assert _estimates(first, f"{EXACT}, {NUMBERS}") == _estimates(second, f"{EXACT}, {NUMBERS}")
 
 

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.cli.gateway.status import status
+from agent.errors import StoreError
 from agent.runtime.replay import replay
 from agent.types import FloatArray
 from tests.figures import figure
-from tests.scenario.live import agent, rows, wait_until
+from tests.scenario.live import agent, hops, rows, wait_until
 from tests.scenario.two_sources import EXAMPLES
 from tests.sim.rigs import free_port, simulator
 
@@ -46,15 +48,19 @@ def play(folder: Path, rate_hz: float, seconds: float) -> tuple[Path, dict[str, 
         with agent(device.config, options=["--db", str(db)]) as running:
             every = (1000.0 + rate_hz) * seconds
             wait_until(lambda: received(db) >= every, "every sample", limit_s=60.0 + seconds)
+            wait_until(lambda: hops(db) >= 20 * seconds - 10, "their rows")
             document = running.document()
         assert device.stop() == 0
         return device.config, document, device.ledger()
 
 
 def received(db: Path) -> int:
-    """Samples that the agent says it has received of both sources."""
-    each = rows(db, "SELECT max(received) FROM v_health GROUP BY source")
-    return sum(count for (count,) in each)
+    """Samples that the agent says it has received of both sources, 0 before it answers."""
+    try:
+        (rig,) = status(db)["rigs"]
+    except StoreError:
+        return 0
+    return sum(source.get("received", 0) for source in rig["sources"])
 
 
 def found(db: Path) -> tuple[FloatArray, FloatArray]:

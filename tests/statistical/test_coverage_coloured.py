@@ -8,13 +8,13 @@ from tests.statistical.machine import say
 
 FULL = 200
 QUICK = {
-    "white": 80,
-    "white, to be learnt": 30,
+    "white": 45,
+    "white, to be learnt": 20,
     "AR(1) 0.9": 10,
-    "force on m1": 24,
-    "16 bits": 30,
-    "16 bits, recorded": 30,
-    "200 us of jitter": 20,
+    "force on m1": 15,
+    "16 bits": 20,
+    "16 bits, recorded": 15,
+    "200 us of jitter": 12,
     "200 us of jitter above all": 8,
     "200 us of jitter beside a stated noise": 8,
 }

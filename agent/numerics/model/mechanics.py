@@ -120,9 +120,9 @@ class MassSpringDamper:
         base = self._affine
         if base is None:
             return self._assembled(theta)
-        elements = np.where(self._is_mass, 0.0, theta)
+        row = np.where(self._is_mass, 0.0, theta)[None]
         A, B, C, D = (
-            matrix + np.tensordot(elements, slope, 1)
+            matrix + np.dot(row, slope.reshape(len(theta), matrix.size)).reshape(matrix.shape)
             for matrix, slope in ((base.A, base.dA), (base.B, base.dB), (base.C, base.dC), (base.D, base.dD))
         )
         straight = StateSpace(A, B, C, D, base.dA, base.dB, base.dC, base.dD)

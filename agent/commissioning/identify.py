@@ -26,8 +26,10 @@ from agent.commissioning.recording_summary import Material
 from agent.config import MechanicsModel, RigConfig, load
 from agent.errors import Fault, ModelError, RecordingError, UsageError
 from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.identification.exact_response import refined
 from agent.numerics.identification.pooled import Pooled, pooled
-from agent.numerics.identification.start import hidden, start, still
+from agent.numerics.identification.response import fitted, measured
+from agent.numerics.identification.start import hidden, rests, start, still
 from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.inference.tuning import DIGITS, SIGMA_SPREAD_UNSTATED
 from agent.numerics.model.holds import straight
@@ -163,16 +165,16 @@ def mechanics(config: RigConfig) -> MassSpringDamper:
 
 
 def require_motion_sensors(config: RigConfig) -> None:
-    """Refuse what the weak form cannot begin with: a guess would be no identification."""
-    names, nodes = hidden(mechanics(config))
-    if names:
+    """Refuse what nothing can begin with: without a force, a motion that is missing."""
+    model = mechanics(config)
+    names, nodes = hidden(model)
+    if names and not model.forces:
         what = (
             f"{', '.join(names)} cannot be started: "
-            f"no displacement or velocity of {', '.join(nodes)} is measured"
+            f"no displacement or velocity of {', '.join(nodes)} is measured, and no force"
         )
-        raise ModelError.at(
-            "channel", what, f"measure the displacement of {', '.join(nodes)}, or state these nominals"
-        )
+        advice = f"measure the displacement of {', '.join(nodes)}, or a force, or state these nominals"
+        raise ModelError.at("channel", what, advice)
 
 
 def material_of(recordings: Sequence[Path], probe_s: float | None) -> Material:
@@ -219,18 +221,42 @@ def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
     sigma = noise_of_sensors(config, records)
     pieces = pieces_of(records)
     _require_motion(model, pieces, sigma)
-    found = start(
+    begin = _from_response if hidden(model)[0] else _from_weak_form
+    found = begin(config, model, pieces, sigma)
+    return with_nominals(config, _positive(config, dict(zip(model.parameters, found.tolist(), strict=True))))
+
+
+def _from_weak_form(
+    config: RigConfig, model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]],
+    sigma: FloatArray,
+) -> FloatArray:  # fmt: skip
+    return start(
         model, pieces, 1.0 / config.rig.sample_rate_hz, sigma,
         straight=straight(config.estimator.hold) == "first", standing=any(c.bias for c in config.channel),
     )  # fmt: skip
-    return with_nominals(config, _positive(config, dict(zip(model.parameters, found.tolist(), strict=True))))
+
+
+def _from_response(
+    config: RigConfig, model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]],
+    sigma: FloatArray,
+) -> FloatArray:  # fmt: skip
+    hold = straight(config.estimator.hold)
+    period_s = 1.0 / config.rig.sample_rate_hz
+    seen = measured(pieces, period_s, sigma, straight=hold == "first")
+    if not len(seen.omega):
+        advice = "record longer, or with more force; or measure the displacements that are missing"
+        raise RecordingError.at("", "no motion answers the measured forces", advice)
+    minima = refined(
+        model, pieces, period_s, sigma, fitted(model, seen), fastest=float(seen.omega[-1]), hold=hold
+    )
+    return minima[0].theta
 
 
 def _require_motion(
     model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], sigma: FloatArray
 ) -> None:
     quiet, nodes = still(model, pieces, sigma)
-    if len(nodes) == len(model.structure.masses):
+    if rests(pieces, sigma):
         raise RecordingError.at(
             "", "nothing moves beyond the noise of its sensor", "record while the machine moves"
         )

@@ -142,7 +142,7 @@ def test_sd_of_simulated_runs_is_the_predicted_one_where_constants_are_known(
 def replayed(
     config: Path, capsys: pytest.CaptureFixture[str], runs: int
 ) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
-    """Return what the design predicts, and the estimates (runs, 4) of its own replays, each a run by itself."""
+    """Return what the design predicts, and estimates (runs, 4) of its replays, each a run by itself."""
     text = re.sub(r"(window_s|hop_s) = [\d.]+", rf"\1 = {SECONDS}", config.read_text(encoding="utf-8"))
     config.write_text(text, encoding="utf-8")
     document, table = excited(capsys, config, "--max-stroke", 0.02)

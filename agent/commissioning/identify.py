@@ -7,7 +7,7 @@ Equations and limits are in docs/identify.md.
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from agent.commissioning.explained import Explained, explained, windows_of
 from agent.commissioning.nominals import with_nominals, write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
+from agent.commissioning.recorded_windows import helping
 from agent.commissioning.recording_summary import Material
 from agent.config import MechanicsModel, RigConfig, load
 from agent.errors import Fault, ModelError, RecordingError, UsageError
@@ -38,7 +39,7 @@ from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.uncertain import Constant
 from agent.runtime.assembly.model_check import model_faults
 from agent.text import percent
-from agent.types import ComplexArray, FloatArray
+from agent.types import BoolArray, ComplexArray, FloatArray
 
 PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
 """Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
@@ -75,6 +76,8 @@ class Found:
     windows: int
     seen: Explained
     constants: tuple[Constant, ...]
+    helpful: Mapping[int, str] = field(default_factory=dict)
+    """Displacements that would show parameters that are not known, by the parameters' numbers."""
 
 
 def identify(
@@ -328,7 +331,20 @@ def joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) ->
     constants = statistical_rig(config).constants
     noise = noise_of_sensors(config, records)
     seen = explained(_weighed(found, said, constants), said.theta, records, window, noise)
-    return Found(found, rig, said, window, count, seen, constants)
+    whole = Found(found, rig, said, window, count, seen, constants)
+    return replace(whole, helpful=_helpful(whole, records[0], noise))
+
+
+def _helpful(found: Found, record: Recorded, noise: FloatArray) -> dict[int, str]:
+    """Return the displacement that would show each parameter that is not known, where there is one."""
+    if not isinstance(found.config.model, MechanicsModel):
+        return {}
+    restless = found.pooled.restless
+    unknown = [i for i in range(len(found.rig.parameters)) if restless[i] or _why(found, i)]
+    ways = helping(found.config, record, found.window, found.windows, noise) if unknown else []
+    size = VAGUE * np.abs(found.pooled.theta)
+    shown = {i: [place for place, sd in ways if sd[i] < size[i]] for i in unknown}
+    return {i: places[0] for i, places in shown.items() if places}
 
 
 def pool(
@@ -403,8 +419,17 @@ def _refusals(rig: RigConfig, found: Found) -> list[Fault]:
     if pulled := _pulled(found):
         return [Fault("model", f"{what} fits only with {pulled} than configured", advice)]
     if not found.pooled.converged:
-        return [Fault("model", "the windows of the recordings agree on no values", advice)]
+        return [_disagreement(found, advice)]
     return []
+
+
+def _disagreement(found: Found, advice: str) -> Fault:
+    """Say on which parameters windows do not agree, and what would show them."""
+    names = [p.name for p, moves in zip(found.rig.parameters, found.pooled.restless, strict=True) if moves]
+    places = list(dict.fromkeys(found.helpful.values()))
+    way = f"measure the displacement of {' or '.join(places)}, record longer, or " if places else ""
+    message = f"the windows of the recordings agree on no values of {', '.join(names)}"
+    return Fault("model", message, way + advice)
 
 
 def _pulled(found: Found) -> str:
@@ -434,17 +459,40 @@ def _row(found: Found, i: int) -> dict[str, Any]:
 def _why(found: Found, i: int) -> str | None:
     """Return why a parameter is not known, and what would show it; None where it is."""
     parameter, said = found.rig.parameters[i], found.pooled
-    vague = said.sd > VAGUE * np.abs(said.theta)
+    vague = (said.sd > VAGUE * np.abs(said.theta)) | _lines(found)
     if parameter.kind in ("bias", "gain") or not vague[i]:
         return None
+    way = f"measure the displacement of {found.helpful[i]}, " if i in found.helpful else ""
     others = [
         p.name for j, p in enumerate(found.rig.parameters)
         if j != i and vague[j] and abs(said.correlation[i, j]) > INSEPARABLE
     ]  # fmt: skip
     if others:
         named = ", ".join(others)
-        return f"inseparable from {named}: record a motion that moves them differently, or state one of them"
-    return "unexcited: its part of the motion is too small; record longer, or with more motion across it"
+        advice = f"{way}record a motion that moves them differently, or state one of them"
+        return f"inseparable from {named}: {advice}"
+    return (
+        f"unexcited: its part of the motion is too small; {way}record longer, or with more motion across it"
+    )
+
+
+def _lines(found: Found) -> BoolArray:
+    """Return which parameters (q,) are springs at an unmeasured mass beside a damper that is not known.
+
+    Noise has lines as sharp as that resonance may be: one of them is no spring, however well it fits.
+    """
+    model = found.config.model
+    if not isinstance(model, MechanicsModel):
+        return np.zeros(len(found.rig.parameters), dtype=bool)
+    unseen = set(hidden(mechanics(found.config))[1])
+    values = dict(zip((p.name for p in found.rig.parameters), found.pooled.theta.tolist(), strict=True))
+    sds = dict(zip(values, found.pooled.sd.tolist(), strict=True))
+    open_ends = [
+        set(e.between) for e in model.damper if e.name in values and sds[e.name] > VAGUE * abs(values[e.name])
+    ]
+    springs = [e for e in model.spring if unseen & set(e.between)]
+    names = {e.name for e in springs if set(e.between) in open_ends}
+    return np.array([name in names for name in values], dtype=bool)
 
 
 def _changes(rig: RigConfig, rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

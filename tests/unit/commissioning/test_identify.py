@@ -147,6 +147,26 @@ def test_machine_with_a_single_accelerometer_is_identified(
         assert row["sd"] < 0.03 * row["value"], name
 
 
+def test_spring_that_drowns_is_named_and_so_is_the_sensor_that_would_show_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rng, sensors = np.random.default_rng(9), (("displacement", 1),)
+    ends = ((0, 1), (1, 2))
+    # a mass of a thousandth rides on the one that is pushed and measured
+    one = Machine(np.array([10.0, 0.01]), ends, np.array([1e3, 25.0]), np.array([10.0, 0.05]), (1,))
+    columns = recorded(one, rng, 0.03, span_s=10.0, sensors=sensors)
+    text = configuration(one, columns, one.masses, sensors=sensors)
+    config, recording = files(tmp_path, columns, text)
+    code, out, err = run(["identify", config, recording, "--json"], capfd)
+    assert code == 0, err
+    document = json.loads(out)
+    # a line of the noise passes for its resonance, as sharp as can be
+    assert document["parameters"]["k2"]["sd"] < 0.1 * document["parameters"]["k2"]["value"]
+    for name in ("k2", "B2"):
+        assert "measure the displacement of m2" in document["parameters"][name]["why"]
+    assert {change["parameter"] for change in document["changes"]} == {"k1", "B1"}
+
+
 def test_spring_that_nothing_stretches_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     rest = np.random.default_rng(1).normal(size=len(COLUMNS["t"]))
     text = TEXT.replace("mass = [", 'mass = [{ name = "m3", value = 1.0 }, ').replace(

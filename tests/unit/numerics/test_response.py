@@ -28,8 +28,8 @@ def model_of(seed: int, sensors: Sensors) -> tuple[MassSpringDamper, np.ndarray,
 
 @pytest.mark.parametrize(
     "sensors",
-    [(("displacement", 1),), (("displacement", 2),), (("acceleration", 1), ("acceleration", 2))],
-    ids=["not at the force", "at the force", "accelerometers"],
+    [(("displacement", 1),), (("acceleration", 1), ("acceleration", 2))],
+    ids=["one displacement", "accelerometers"],
 )
 def test_start_without_the_other_displacement_is_near_the_truth(sensors: Sensors) -> None:
     model, truth, columns = model_of(7, sensors)

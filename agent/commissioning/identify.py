@@ -7,7 +7,7 @@ Equations and limits are in docs/identify.md.
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,15 @@ from agent.commissioning.explained import Explained, explained, windows_of
 from agent.commissioning.nominals import with_nominals, write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
+from agent.commissioning.recorded_windows import helping
 from agent.commissioning.recording_summary import Material
 from agent.config import MechanicsModel, RigConfig, load
 from agent.errors import Fault, ModelError, RecordingError, UsageError
 from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.identification.exact_response import refined
 from agent.numerics.identification.pooled import Pooled, pooled
-from agent.numerics.identification.start import hidden, start, still
+from agent.numerics.identification.response import fitted, measured
+from agent.numerics.identification.start import hidden, rests, start, still
 from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.inference.tuning import DIGITS, SIGMA_SPREAD_UNSTATED
 from agent.numerics.model.holds import straight
@@ -36,7 +39,7 @@ from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.uncertain import Constant
 from agent.runtime.assembly.model_check import model_faults
 from agent.text import percent
-from agent.types import ComplexArray, FloatArray
+from agent.types import BoolArray, ComplexArray, FloatArray
 
 PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
 """Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
@@ -73,6 +76,8 @@ class Found:
     windows: int
     seen: Explained
     constants: tuple[Constant, ...]
+    helpful: Mapping[int, str] = field(default_factory=dict)
+    """Displacements that would show parameters that are not known, by the parameters' numbers."""
 
 
 def identify(
@@ -163,16 +168,16 @@ def mechanics(config: RigConfig) -> MassSpringDamper:
 
 
 def require_motion_sensors(config: RigConfig) -> None:
-    """Refuse what the weak form cannot begin with: a guess would be no identification."""
-    names, nodes = hidden(mechanics(config))
-    if names:
+    """Refuse what nothing can begin with: without a force, a motion that is missing."""
+    model = mechanics(config)
+    names, nodes = hidden(model)
+    if names and not model.forces:
         what = (
             f"{', '.join(names)} cannot be started: "
-            f"no displacement or velocity of {', '.join(nodes)} is measured"
+            f"no displacement or velocity of {', '.join(nodes)} is measured, and no force"
         )
-        raise ModelError.at(
-            "channel", what, f"measure the displacement of {', '.join(nodes)}, or state these nominals"
-        )
+        advice = f"measure the displacement of {', '.join(nodes)}, or a force, or state these nominals"
+        raise ModelError.at("channel", what, advice)
 
 
 def material_of(recordings: Sequence[Path], probe_s: float | None) -> Material:
@@ -219,18 +224,42 @@ def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
     sigma = noise_of_sensors(config, records)
     pieces = pieces_of(records)
     _require_motion(model, pieces, sigma)
-    found = start(
+    begin = _from_response if hidden(model)[0] else _from_weak_form
+    found = begin(config, model, pieces, sigma)
+    return with_nominals(config, _positive(config, dict(zip(model.parameters, found.tolist(), strict=True))))
+
+
+def _from_weak_form(
+    config: RigConfig, model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]],
+    sigma: FloatArray,
+) -> FloatArray:  # fmt: skip
+    return start(
         model, pieces, 1.0 / config.rig.sample_rate_hz, sigma,
         straight=straight(config.estimator.hold) == "first", standing=any(c.bias for c in config.channel),
     )  # fmt: skip
-    return with_nominals(config, _positive(config, dict(zip(model.parameters, found.tolist(), strict=True))))
+
+
+def _from_response(
+    config: RigConfig, model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]],
+    sigma: FloatArray,
+) -> FloatArray:  # fmt: skip
+    hold = straight(config.estimator.hold)
+    period_s = 1.0 / config.rig.sample_rate_hz
+    seen = measured(pieces, period_s, sigma, straight=hold == "first")
+    if not len(seen.omega):
+        advice = "record longer, or with more force; or measure the displacements that are missing"
+        raise RecordingError.at("", "no motion answers the measured forces", advice)
+    minima = refined(
+        model, pieces, period_s, sigma, fitted(model, seen), fastest=float(seen.omega[-1]), hold=hold
+    )
+    return minima[0].theta
 
 
 def _require_motion(
     model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], sigma: FloatArray
 ) -> None:
     quiet, nodes = still(model, pieces, sigma)
-    if len(nodes) == len(model.structure.masses):
+    if rests(pieces, sigma):
         raise RecordingError.at(
             "", "nothing moves beyond the noise of its sensor", "record while the machine moves"
         )
@@ -302,7 +331,20 @@ def joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) ->
     constants = statistical_rig(config).constants
     noise = noise_of_sensors(config, records)
     seen = explained(_weighed(found, said, constants), said.theta, records, window, noise)
-    return Found(found, rig, said, window, count, seen, constants)
+    whole = Found(found, rig, said, window, count, seen, constants)
+    return replace(whole, helpful=_helpful(whole, records[0], noise))
+
+
+def _helpful(found: Found, record: Recorded, noise: FloatArray) -> dict[int, str]:
+    """Return the displacement that would show each parameter that is not known, where there is one."""
+    if not isinstance(found.config.model, MechanicsModel):
+        return {}
+    restless = found.pooled.restless
+    unknown = [i for i in range(len(found.rig.parameters)) if restless[i] or _why(found, i)]
+    ways = helping(found.config, record, found.window, found.windows, noise) if unknown else []
+    size = VAGUE * np.abs(found.pooled.theta)
+    shown = {i: [place for place, sd in ways if sd[i] < size[i]] for i in unknown}
+    return {i: places[0] for i, places in shown.items() if places}
 
 
 def pool(
@@ -377,8 +419,17 @@ def _refusals(rig: RigConfig, found: Found) -> list[Fault]:
     if pulled := _pulled(found):
         return [Fault("model", f"{what} fits only with {pulled} than configured", advice)]
     if not found.pooled.converged:
-        return [Fault("model", "the windows of the recordings agree on no values", advice)]
+        return [_disagreement(found, advice)]
     return []
+
+
+def _disagreement(found: Found, advice: str) -> Fault:
+    """Say on which parameters windows do not agree, and what would show them."""
+    names = [p.name for p, moves in zip(found.rig.parameters, found.pooled.restless, strict=True) if moves]
+    places = list(dict.fromkeys(found.helpful.values()))
+    way = f"measure the displacement of {' or '.join(places)}, record longer, or " if places else ""
+    message = f"the windows of the recordings agree on no values of {', '.join(names)}"
+    return Fault("model", message, way + advice)
 
 
 def _pulled(found: Found) -> str:
@@ -408,17 +459,40 @@ def _row(found: Found, i: int) -> dict[str, Any]:
 def _why(found: Found, i: int) -> str | None:
     """Return why a parameter is not known, and what would show it; None where it is."""
     parameter, said = found.rig.parameters[i], found.pooled
-    vague = said.sd > VAGUE * np.abs(said.theta)
+    vague = (said.sd > VAGUE * np.abs(said.theta)) | _lines(found)
     if parameter.kind in ("bias", "gain") or not vague[i]:
         return None
+    way = f"measure the displacement of {found.helpful[i]}, " if i in found.helpful else ""
     others = [
         p.name for j, p in enumerate(found.rig.parameters)
         if j != i and vague[j] and abs(said.correlation[i, j]) > INSEPARABLE
     ]  # fmt: skip
     if others:
         named = ", ".join(others)
-        return f"inseparable from {named}: record a motion that moves them differently, or state one of them"
-    return "unexcited: its part of the motion is too small; record longer, or with more motion across it"
+        advice = f"{way}record a motion that moves them differently, or state one of them"
+        return f"inseparable from {named}: {advice}"
+    return (
+        f"unexcited: its part of the motion is too small; {way}record longer, or with more motion across it"
+    )
+
+
+def _lines(found: Found) -> BoolArray:
+    """Return which parameters (q,) are springs at an unmeasured mass beside a damper that is not known.
+
+    Noise has lines as sharp as that resonance may be: one of them is no spring, however well it fits.
+    """
+    model = found.config.model
+    if not isinstance(model, MechanicsModel):
+        return np.zeros(len(found.rig.parameters), dtype=bool)
+    unseen = set(hidden(mechanics(found.config))[1])
+    values = dict(zip((p.name for p in found.rig.parameters), found.pooled.theta.tolist(), strict=True))
+    sds = dict(zip(values, found.pooled.sd.tolist(), strict=True))
+    open_ends = [
+        set(e.between) for e in model.damper if e.name in values and sds[e.name] > VAGUE * abs(values[e.name])
+    ]
+    springs = [e for e in model.spring if unseen & set(e.between)]
+    names = {e.name for e in springs if set(e.between) in open_ends}
+    return np.array([name in names for name in values], dtype=bool)
 
 
 def _changes(rig: RigConfig, rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -111,10 +111,11 @@ def _expected(
         found.append(predicted_sd(rig, x0, u, sigma))
     if not found:
         nothing = np.full(discrete.model.q, np.nan)
-        return PredictedSd(nothing, nothing)
+        return PredictedSd(nothing, nothing, nothing)
     return PredictedSd(
         np.asarray(np.median([one.sd for one in found], axis=0)),
         np.asarray(np.median([one.sd_repeat for one in found], axis=0)),
+        np.asarray(np.median([one.scatter for one in found], axis=0)),
     )
 
 

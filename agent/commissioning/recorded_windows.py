@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.rig_model import RigModel
+from agent.blocks.rig_model import RigModel, rig_model
 from agent.commissioning.prediction import (
     Excitation,
     assumed_excitation,
@@ -18,11 +18,11 @@ from agent.commissioning.prediction import (
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.errors import Fault
-from agent.numerics.fitting.information import window_information
+from agent.numerics.fitting.information import bound_sd, window_information
 from agent.numerics.model.holds import straight
 from agent.numerics.model.identifiability import readable_blends
 from agent.numerics.model.sensors import with_constant
-from agent.numerics.model.statespace import Discrete, Model, discretise
+from agent.numerics.model.statespace import Discrete, Model, discretise, simulate
 from agent.numerics.paper.recentring import recentring
 from agent.numerics.paper.seed import (
     existence,
@@ -41,6 +41,8 @@ SEEN_WINDOWS = 5
 """Of a recording that are looked at."""
 NOISE_OF_MORE = 1e-3
 """Noise of an output that is not there yet, as a share of what it would read."""
+SHARE_OF_MORE = 1e-2
+"""The same of one that would show what windows leave vague."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,29 @@ def left_open(
     )
     span = f"over {look.length / config.rig.sample_rate_hz:g} s of {recorded.name}"
     return [Fault("estimator.estimate", f"{span} {_words(rig, blend)}", advice) for blend in weak]
+
+
+def helping(
+    config: RigConfig, recorded: Recorded, window: int, count: int, sigma: FloatArray
+) -> list[tuple[str, FloatArray]]:
+    """Return displacements that are not measured, each with the sds (q,) of so many windows with it.
+
+    Its sensor is taken to read a hundredth of the motion there; sigma (p,) of those there are.
+    """
+    rig = rig_model(config)
+    first, end = max(recorded.pieces, key=lambda piece: piece[1] - piece[0])
+    end = min(end, first + window)
+    found = []
+    for place, model in further_outputs(rig):
+        discrete = discretise(
+            model.continuous(model.nominal), 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold)
+        )
+        u = with_constant(recorded.u[first:end], discrete.model.m)
+        x0 = recorded.first_state(sampled(config, rig), first, end)
+        moved = simulate(discrete, x0 - discrete.B1 @ u[0], u)[1][:, -1]
+        noise = np.append(sigma, max(SHARE_OF_MORE * float(moved.std()), 1e-300))
+        found.append((place, bound_sd(window_information(discrete, x0, u, noise)) / np.sqrt(count)))
+    return found
 
 
 def _sizes(rig: RigModel) -> FloatArray:

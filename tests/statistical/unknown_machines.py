@@ -1,5 +1,6 @@
 """Random machines that nobody has modelled: masses known to 2 %, no nominals, every displacement measured."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,23 +55,50 @@ def machine(rng: np.random.Generator, masses: int | None = None) -> Machine:
     return Machine(m, tuple(ends), k, B, _forced(n, ends))
 
 
+def _part(node: int, ends: Sequence[tuple[int, int]]) -> set[int]:
+    """Return the nodes that hang together with one, not by the ground."""
+    part, size = {node}, 0
+    while size < len(part):
+        size = len(part)
+        part |= {e for pair in ends if 0 not in pair and part & set(pair) for e in pair}
+    return part
+
+
 def _forced(n: int, ends: list[tuple[int, int]]) -> tuple[int, ...]:
     left, forces = set(range(1, n + 1)), []
     while left:
-        part, size = {max(left)}, 0
-        while size < len(part):
-            size = len(part)
-            part |= {e for pair in ends if 0 not in pair and part & set(pair) for e in pair}
+        part = _part(max(left), ends)
         forces.append(max(part))
         left -= part
     return tuple(sorted(forces))
 
 
+Sensors = tuple[tuple[str, int], ...]
+"""Quantity and node of each motion that is measured."""
+LETTERS = {"displacement": ("x", "m"), "acceleration": ("a", "m/s2")}
+
+
+def displacements(one: Machine) -> Sensors:
+    return tuple(("displacement", i) for i in range(1, len(one.masses) + 1))
+
+
+def accelerations(one: Machine) -> Sensors:
+    return tuple(("acceleration", i) for i in range(1, len(one.masses) + 1))
+
+
+def one_of_two(one: Machine, rng: np.random.Generator) -> Sensors:
+    """Draw a displacement for each two masses, and at least one in each part that hangs on the ground."""
+    picked = {int(rng.choice(sorted(_part(force, one.ends)))) for force in one.forces}
+    others = rng.permutation([i for i in range(1, len(one.masses) + 1) if i not in picked])
+    more = max(0, (len(one.masses) + 1) // 2 - len(picked))
+    return tuple(("displacement", i) for i in sorted({*picked, *others[:more].tolist()}))
+
+
 def recorded(
-    one: Machine, rng: np.random.Generator, noise: float, span_s: float = SPAN_S
+    one: Machine, rng: np.random.Generator, noise: float, span_s: float = SPAN_S, sensors: Sensors = ()
 ) -> dict[str, FloatArray]:
     """Return a recording under white forces of 10 N rms, integrated exactly; noise: share of each motion's
-    rms."""
+    rms; sensors: every displacement where empty."""
     A, n = one.generator(), len(one.masses)
     rate = float(max(round(20 * np.abs(np.linalg.eigvals(A)).max() / 2 / np.pi), 50))
     N, c = int(span_s * rate), len(one.forces)
@@ -86,9 +114,15 @@ def recorded(
     u, x = rng.normal(0.0, 10.0, (N, c)), np.zeros((N, 2 * n))
     for i in range(N - 1):
         x[i + 1] = F @ x[i] + G0 @ u[i] + G1 @ u[i + 1]
-    y = x[:, :n] + rng.normal(size=(N, n)) * noise * x[:, :n].std(axis=0)
+    accelerated = x @ A[n:].T + u @ np.array(
+        [np.eye(n)[node - 1] / one.masses[node - 1] for node in one.forces]
+    )
+    motion = {"displacement": x[:, :n], "acceleration": accelerated}
+    seen = np.array([motion[quantity][:, node - 1] for quantity, node in sensors or displacements(one)]).T
+    y = seen + rng.normal(size=seen.shape) * noise * seen.std(axis=0)
     columns = {"t": np.arange(N) / rate} | {f"f{node}": u[:, i] for i, node in enumerate(one.forces)}
-    return columns | {f"x{i + 1}": y[:, i] for i in range(n)}
+    names = [f"{LETTERS[quantity][0]}{node}" for quantity, node in sensors or displacements(one)]
+    return columns | dict(zip(names, y.T, strict=True))
 
 
 def name(node: int) -> str:
@@ -101,6 +135,7 @@ def configuration(
     masses: FloatArray,
     nominal: str = "",
     without: int | None = None,
+    sensors: Sensors = (),
 ) -> str:
     """Write what is known of a machine; nominal: text behind each element; without: an element left out."""
     kept = [i for i in range(len(one.ends)) if i != without]
@@ -113,7 +148,10 @@ def configuration(
             _rows(kind, [f'name = "{letter}{i}", between = ["{a}", "{b}"]{nominal}' for i, a, b in ends])
         )
     channels = [("f", "force", node, "N") for node in one.forces]
-    channels += [("x", "displacement", i, "m") for i in range(1, len(masses) + 1)]
+    channels += [
+        (LETTERS[quantity][0], quantity, node, LETTERS[quantity][1])
+        for quantity, node in sensors or displacements(one)
+    ]
     lines += [
         f'\n[[channel]]\nname = "{letter}{node}"\nquantity = "{quantity}"\nat = "m{node}"\nunit = "{unit}"'
         for letter, quantity, node, unit in channels
@@ -126,14 +164,16 @@ def _rows(kind: str, rows: list[str]) -> str:
 
 
 def written(
-    folder: Path, seed: int, nominal: str = "", masses: int | None = None, without: int | None = None
-) -> tuple[Machine, Path, Path]:
+    folder: Path, seed: int, nominal: str = "", masses: int | None = None, without: int | None = None,
+    sensing: Callable[[Machine, np.random.Generator], Sensors] = lambda one, _: displacements(one),
+) -> tuple[Machine, Path, Path]:  # fmt: skip
     """Write configuration and recording of the machine of a seed; return it and their paths."""
     rng = np.random.default_rng([17, seed])
     one = machine(rng, masses)
-    columns = recorded(one, rng, float(10.0 ** rng.uniform(-4.0, -1.5)))
+    sensors = sensing(one, np.random.default_rng(seed))
+    columns = recorded(one, rng, float(10.0 ** rng.uniform(-4.0, -1.5)), sensors=sensors)
     stated = one.masses * (1.0 + np.clip(0.02 * rng.normal(size=len(one.masses)), -0.04, 0.04))
     config, record = folder / f"{seed}.toml", folder / f"{seed}.npz"
-    config.write_text(configuration(one, columns, stated, nominal, without), encoding="utf-8")
+    config.write_text(configuration(one, columns, stated, nominal, without, sensors), encoding="utf-8")
     np.savez(record, **columns)
     return one, config, record

@@ -63,8 +63,9 @@ def _rows(
         for points in queries.all_points(path, rig, MOST_ROWS):
             name = points.parameter
             if parameter in {None, name}:
-                same = compensated(path, points, standing).points
-                row = _row(same, window, limits.get((rig, name)), horizon, limit_percent)
+                same = compensated(path, points, standing)
+                row = _row(same.points, window, limits.get((rig, name)), horizon, limit_percent)
+                row["covariates"] = list(same.covariates)
                 found.append(row | {"record": record_of(past.get((rig, name), []))})
     return found
 

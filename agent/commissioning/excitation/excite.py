@@ -146,7 +146,8 @@ def _designed(
         "rig": rig.config.rig.name, "seconds": bounds.seconds, "samples": count,
         "design_gap": max(design.gap, 0.0),
         "designed_for": [name for name, own in zip(names, kept.tolist(), strict=True) if own],
-        "predicted_sd": dict(zip(names, expected.sd_repeat.tolist(), strict=True)),
+        "predicted_sd": dict(zip(names, expected.scatter.tolist(), strict=True)),
+        "sd_repeat": dict(zip(names, expected.sd_repeat.tolist(), strict=True)),
         "against_nominal_sd": dict(zip(names, expected.sd.tolist(), strict=True)),
         "recording_sd": None if past is None else dict(zip(names, past.tolist(), strict=True)),
         "recording_s": None if recorded is None else recorded.facts["span_s"],
@@ -240,14 +241,14 @@ def _straight(rig: _Rig) -> Any:
 
 
 def _of_recording(rig: _Rig, recorded: Recorded) -> FloatArray:
-    """Return sds (q,) to expect of the whole recording, all pieces together; masses and gains as they are."""
+    """Return sds (q,) to expect of the whole recording, all pieces together."""
     u = with_constant(recorded.u, rig.discrete.model.m)
     found = []
     for first, end in recorded.pieces:
         last = min(end, first + MOST_SAMPLES)
         if last - first > rig.discrete.model.n + rig.discrete.model.q:
             x0 = recorded.first_state(rig.discrete, first, last) - rig.discrete.B1 @ u[first]
-            found.append(predicted_sd(_straight(rig), x0, u[first:last], rig.sigma).sd_repeat)
+            found.append(predicted_sd(_straight(rig), x0, u[first:last], rig.sigma).scatter)
     if not found:
         return np.full(rig.discrete.model.q, np.inf)
     return np.asarray(1.0 / np.sqrt(np.sum([1.0 / sd**2 for sd in found], axis=0)))
@@ -275,7 +276,7 @@ def _advice(
     yield f"of the power {', '.join(strong)}"
     if past is None:
         return
-    ratio = (past / expected.sd_repeat) ** 2
+    ratio = (past / expected.scatter) ** 2
     for i in np.argsort(-ratio):
         if np.isfinite(ratio[i]) and ratio[i] > 0.0:
             words = f"{number(float(ratio[i]), 2)} × longer"

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import scales
 from agent.numerics.model.statespace import Discrete
 from agent.numerics.model.uncertain import Constant, Rig, Sampled, sampled
@@ -25,10 +26,12 @@ class PredictedSd:
     Attributes:
         sd: (q,) against nominal: the constants known as their data sheets say.
         sd_repeat: (q,) against another window of the same rig: the constants as they are.
+        scatter: (q,) of the estimates of many such windows, each of which learns the constants by itself.
     """
 
     sd: FloatArray
     sd_repeat: FloatArray
+    scatter: FloatArray
 
 
 def window_information(discrete: Discrete, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -57,7 +60,25 @@ def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> 
     q = rig.q
     sheet = np.array([max(constant.sheet, 1e-9) for constant in rig.constants])
     repeat = bound_sd(information[:q, :q])
-    return PredictedSd(at.unit * np.hypot(repeat, _spread(information, q, sheet)), at.unit * repeat)
+    sd = np.hypot(repeat, _spread(information, q, sheet))
+    return PredictedSd(at.unit * sd, at.unit * repeat, at.unit * _scatter(information, repeat, rig))
+
+
+def _scatter(information: FloatArray, repeat: FloatArray, rig: Rig) -> FloatArray:
+    """Return the sd (q,) of posterior means of windows of one rig: H⁻¹ I H⁻¹, where H = I + the prior's.
+
+    Information is of (q + c, q + c). Of constants that it can measure the estimator believes the narrow prior
+    while they are as configured; what windows say of them scatters, and moves the parameters with it.
+    """
+    if not rig.constants or not np.all(np.isfinite(repeat)):
+        return repeat
+    share = np.array([tuning.AS_CONFIGURED if constant.shows else 1.0 for constant in rig.constants])
+    sheet = np.array([max(constant.sheet, 1e-9) for constant in rig.constants])
+    H = information.copy()
+    H[rig.q :, rig.q :] += np.diag((share * sheet) ** -2.0)
+    d = scales(H)
+    inverse = np.linalg.pinv(H * np.outer(d, d), rcond=SINGULAR, hermitian=True) * np.outer(d, d)
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ information @ inverse)[: rig.q], repeat**2)))
 
 
 def _spread(information: FloatArray, q: int, sheet: FloatArray) -> FloatArray:

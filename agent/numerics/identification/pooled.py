@@ -19,7 +19,7 @@ from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.model.uncertain import Rig
-from agent.types import FloatArray, IntArray
+from agent.types import BoolArray, FloatArray, IntArray
 
 TAUGHT = 3
 """Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
@@ -68,7 +68,7 @@ class Pooled:
         eta: (c,) logarithms of masses and gains, over what is configured.
         scatter: how many times more the windows differ than they should, as a variance.
         taught: what the windows that the noise was learnt from said.
-        converged: it came to rest.
+        restless: (q,) parameters that had not come to rest when the steps were over.
         known: what was learnt of the noise, at the point.
     """
 
@@ -79,8 +79,13 @@ class Pooled:
     eta: FloatArray
     scatter: float
     taught: tuple[Posterior, ...]
-    converged: bool
+    restless: BoolArray
     known: Knowledge
+
+    @property
+    def converged(self) -> bool:
+        """Whether it came to rest."""
+        return not self.restless.any()
 
 
 def pooled(
@@ -114,10 +119,10 @@ def pooled(
             known.theta + _bounded(moved, np.where(rig.nominal != 0, known.theta, 0.0)), rig.lower
         )
         known = replace(known, theta=theta, eta=eta)
-        rests = bool(np.all(np.abs(moved) <= RESTS_SD * unit * np.sqrt(np.diag(found.covariance)[: rig.q])))
-        if rests:
+        restless = np.abs(moved) > RESTS_SD * unit * np.sqrt(np.diag(found.covariance)[: rig.q])
+        if not restless.any():
             break
-    return found.said(known, tuple(taught), rests)
+    return found.said(known, tuple(taught), restless)
 
 
 def costs_of(
@@ -183,7 +188,7 @@ class _Sum:
         scatter = max(1.0, total / (q * max(len(said) - 1, 1)))
         return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter, costs)
 
-    def said(self, known: Knowledge, taught: tuple[Posterior, ...], converged: bool) -> Pooled:
+    def said(self, known: Knowledge, taught: tuple[Posterior, ...], restless: BoolArray) -> Pooled:
         q = len(self.unit)
         own = self.scatter * self.given
         whole = self.covariance[:q, :q] + (self.scatter - 1.0) * self.given
@@ -191,5 +196,5 @@ class _Sum:
         return Pooled(
             known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)),
             whole / np.outer(sd, sd),
-            known.eta, self.scatter, taught, converged, known,
+            known.eta, self.scatter, taught, restless, known,
         )  # fmt: skip

@@ -82,6 +82,12 @@ def _stretches(samples: int, scales: Sequence[int]) -> Iterator[slice]:
             yield slice(first, first + length)
 
 
+def rests(pieces: Sequence[tuple[FloatArray, FloatArray]], sigma: FloatArray) -> bool:
+    """Whether no output (p,) moves beyond the noise of its sensor."""
+    y = np.concatenate([piece - piece.mean(axis=0) for piece, _ in pieces])
+    return bool(np.all(y.var(axis=0) <= STILL * sigma**2 + 1e-300))
+
+
 def still(
     model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]], sigma: FloatArray
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -92,15 +98,17 @@ def still(
     sensor = {names[i]: r for i, r in zip(sensing.node.tolist(), sensing.sensor.tolist(), strict=True)}
     y = np.concatenate([piece - piece.mean(axis=0) for piece, _ in pieces])
 
-    def rests(ends: Sequence[str]) -> bool:
+    def quiet_between(ends: Sequence[str]) -> bool:
+        if any(end not in sensor for end in ends if end != GROUND):
+            return False
         places = [sensor[end] for end in ends if end != GROUND]
         alike = len({model.outputs[place].quantity for place in places}) == 1
         motion = y[:, places] @ np.array([1.0, -1.0][: len(places)]) if alike else y[:, places[0]]
         return bool(motion.var() <= STILL * np.sum(sigma[places] ** 2) + 1e-300)
 
     elements = [e for e in (*s.springs, *s.dampers, *s.frictions) if e.name in model.parameters]
-    quiet = tuple(e.name for e in elements if rests(e.between))
-    return quiet, tuple(name for name in names if rests([name]))
+    quiet = tuple(e.name for e in elements if quiet_between(e.between))
+    return quiet, tuple(name for name in names if quiet_between([name]))
 
 
 @dataclass

@@ -126,7 +126,11 @@ def test_trend_takes_the_hall_out_before_it_asks_and_says_so(
     code, out, _ = deltak(capsys, "trend", db, "k1", "--json")
     plain = json.loads(out)
     assert (code, plain["covariates"], plain["words"].split(",")[0]) == (0, [], "falls")
+    (before,) = json.loads(deltak(capsys, "fleet", db, "--parameter", "k1", "--json")[1])["rows"]
+    assert (before["trend"], before["covariates"]) == (True, [])
     learnt(capsys, db)
+    (row,) = json.loads(deltak(capsys, "fleet", db, "--parameter", "k1", "--json")[1])["rows"]
+    assert (row["trend"], row["covariates"]) == (False, ["hall"])
     found = json.loads(deltak(capsys, "trend", db, "k1", "--json")[1])
     assert found["covariates"] == ["hall"]
     assert found["words"] == "no trend"

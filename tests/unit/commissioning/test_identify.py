@@ -13,7 +13,7 @@ from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
 from agent.commissioning.nominals import edited
 from agent.errors import UsageError
-from tests.statistical.unknown_machines import configuration, machine, recorded
+from tests.statistical.unknown_machines import Machine, configuration, machine, recorded
 
 RIG = np.random.default_rng(3)
 ONE = machine(RIG, 2)
@@ -100,13 +100,26 @@ def still() -> dict[str, Any]:
     return {key: v if key[0] in "tf" else 1e-6 * noise.normal(size=len(v)) for key, v in COLUMNS.items()}
 
 
+def _without_channel(text: str, name: str) -> str:
+    head, *channels = text.split("[[channel]]")
+    return "[[channel]]".join([head, *(c for c in channels if f'"{name}"' not in c)])
+
+
+def chain(quantity: str) -> tuple[Machine, dict[str, Any], str]:
+    """Return two masses in a row of which one motion is measured, with recording and configuration."""
+    rng = np.random.default_rng(7)
+    one = machine(rng, 2)
+    sensors = ((quantity, 1),)
+    columns = recorded(one, rng, 1e-3, span_s=20.0, sensors=sensors)
+    return one, columns, configuration(one, columns, one.masses, sensors=sensors)
+
+
 BAD = {
     "without motion": (still(), TEXT, "nothing moves beyond the noise of its sensor"),
     "two alike": (COLUMNS | {"x1": COLUMNS["x2"]}, TEXT, "read the same to the last digit"),
     "too short": ({k: v[:100] for k, v in COLUMNS.items()}, TEXT, "no 128 samples without a gap"),
-    "accelerometer": (COLUMNS, TEXT.replace('"displacement"\nat = "m2"\nunit = "m"',
-                                            '"acceleration"\nat = "m2"\nunit = "m/s2"'),
-                      "measure the displacement of m2"),
+    "no force, a motion missing": (chain("displacement")[1], _without_channel(chain("displacement")[2], "f2"),
+                                   "no displacement or velocity of m2 is measured, and no force"),
 }  # fmt: skip
 
 
@@ -120,6 +133,38 @@ def test_bad_input_is_said_in_a_sentence_and_changes_nothing(
     assert code == 2
     assert words in err
     assert Path(config).read_text(encoding="utf-8") == text
+
+
+def test_machine_with_a_single_accelerometer_is_identified(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    one, columns, text = chain("acceleration")
+    config, recording = files(tmp_path, columns, text)
+    code, out, err = run(["identify", config, recording, "--json"], capfd)
+    assert code == 0, err
+    for name, row in json.loads(out)["parameters"].items():
+        assert row["lower"] < one.truth[name] < row["upper"]
+        assert row["sd"] < (0.03 if name[0] == "k" else 0.2) * row["value"], name
+
+
+def test_spring_that_drowns_is_named_and_so_is_the_sensor_that_would_show_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rng, sensors = np.random.default_rng(9), (("displacement", 1),)
+    ends = ((0, 1), (1, 2))
+    # a mass of a thousandth rides on the one that is pushed and measured
+    one = Machine(np.array([10.0, 0.01]), ends, np.array([1e3, 25.0]), np.array([10.0, 0.05]), (1,))
+    columns = recorded(one, rng, 0.03, span_s=10.0, sensors=sensors)
+    text = configuration(one, columns, one.masses, sensors=sensors)
+    config, recording = files(tmp_path, columns, text)
+    code, out, err = run(["identify", config, recording, "--json"], capfd)
+    assert code == 0, err
+    document = json.loads(out)
+    # a line of the noise passes for its resonance, as sharp as can be
+    assert document["parameters"]["k2"]["sd"] < 0.1 * document["parameters"]["k2"]["value"]
+    for name in ("k2", "B2"):
+        assert "measure the displacement of m2" in document["parameters"][name]["why"]
+    assert {change["parameter"] for change in document["changes"]} == {"k1", "B1"}
 
 
 def test_spring_that_nothing_stretches_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,1 @@
+"""Recordings on their way through a pipeline."""

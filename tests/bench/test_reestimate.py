@@ -9,7 +9,7 @@ from agent.runtime.reestimation.reestimate import Wanted, reestimate
 from tests.figures import figure
 from tests.replay.archives import SECOND, archive, configuration
 
-RIGS, LENGTH_S = 4, 40.0
+RIGS, LENGTH_S = 4, 10.0
 
 
 def silent(_words: str) -> None:
@@ -32,7 +32,7 @@ def test_two_processes_against_one(tmp_path: Path) -> None:
         before = spent_s()
         wanted = Wanted(
             [tmp_path / "archive"], configs, str(tmp_path / f"{workers}.db"), workers=workers,
-            hour_ns=20 * SECOND,
+            hour_ns=5 * SECOND,
         )  # fmt: skip
         rates.append(reestimate(wanted, silent)["samples_per_s"])
         own.append((spent_s() - before) / (RIGS * LENGTH_S * 1000.0) * 86.4e6)

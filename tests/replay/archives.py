@@ -1,5 +1,6 @@
 """Archives of raw recordings as agents leave them, and what a database says of rigs."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from agent.recording.blocks import BlockSegment
 from agent.recording.header import RawHeader
+from agent.runtime.reestimation.pools import LocalPool
 from agent.types import FloatArray
 from drivers.port import SampleBlock
 from tests.peers import ROOT
@@ -24,6 +26,13 @@ TABLES = {
     "v_verdicts": "rig, t_ns, hypothesis, size, sd, probability",
     "v_forecast": "rig, parameter, made_at_ns, status, p50_at, chance",
 }
+
+
+class Here(LocalPool):
+    """Threads of this process in place of processes."""
+
+    def _made(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(1)
 
 
 def said(db: Path) -> dict[str, list[tuple[Any, ...]]]:

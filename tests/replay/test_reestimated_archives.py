@@ -4,7 +4,6 @@ import json
 import multiprocessing
 import os
 import signal
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -14,11 +13,11 @@ from agent.cli.app import app
 from agent.config import load
 from agent.errors import UsageError
 from agent.runtime.reestimation.archive import configured, gathered
-from agent.runtime.reestimation.pools import LocalPool, pool_of
+from agent.runtime.reestimation.pools import pool_of
 from agent.runtime.reestimation.reestimate import Wanted, reestimate
 from agent.runtime.replay import replay
 from agent.storage.read import queries
-from tests.replay.archives import SECOND, archive, configuration, said
+from tests.replay.archives import SECOND, Here, archive, configuration, said
 
 
 def test_process_killed_between_hours_leaves_what_a_replay_gives_to_the_last_bit(tmp_path: Path) -> None:
@@ -42,13 +41,6 @@ def test_process_killed_between_hours_leaves_what_a_replay_gives_to_the_last_bit
     assert document["parts"] >= 6
     assert document["errors"] == []
     assert said(tmp_path / "again.db") == said(tmp_path / "replayed.db")
-
-
-class Here(LocalPool):
-    """Threads of this process in place of processes."""
-
-    def _made(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(1)
 
 
 def test_what_is_damaged_or_foreign_is_a_sentence_each_and_the_rest_is_estimated(

@@ -20,6 +20,8 @@ from agent.types import ClockRecord, FloatArray, IntArray, Record
 from drivers.port import Counts, Driver, DriverError, SampleBlock
 
 log = logging.getLogger(__name__)
+MOST_BLOCKS = 5000
+"""Between two pauses: what they lead to is some 35 MB, and waits in memory until it is stored."""
 
 
 Covariates = tuple[IntArray, Mapping[str, FloatArray]]
@@ -80,7 +82,8 @@ class Playing:
 
         While one is estimated, another thread reads and prepares the next.
 
-        hour_ns: pause where the samples reach the next multiple of this; the next call goes on from there.
+        hour_ns: pause where the samples reach the next multiple of this, at the latest after MOST_BLOCKS; the
+            next call goes on from there.
         """
         for records in self._records(hour_ns):
             self.evidence.see(records)
@@ -89,6 +92,7 @@ class Playing:
     def _records(self, hour_ns: int | None) -> Iterator[list[Record]]:
         begun = None
         pausing = False
+        taken = 0
         with ThreadPoolExecutor(1) as ahead:
             coming = ahead.submit(self._piece)
             while (piece := coming.result()) is not None:
@@ -96,7 +100,8 @@ class Playing:
                 if hour_ns is not None and piece.prepared is not None:
                     hour = piece.prepared.newest_ns // hour_ns
                     begun = hour if begun is None else begun
-                    pausing = hour != begun and self.can_pause
+                    taken += 1
+                    pausing = self.can_pause and (hour != begun or taken >= MOST_BLOCKS)
                 if not pausing:
                     coming = ahead.submit(self._piece)
                 yield from self._led_to(piece)

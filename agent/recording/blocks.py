@@ -96,7 +96,8 @@ def read_blocks(path: Path | str, cut: Callable[[int], object] = lambda _left: N
     path = Path(path)
     with path.open("rb") as file:
         read_header(file, path)
-        whole, size = file.tell(), path.stat().st_size
+        size = path.stat().st_size
+        whole = file.tell()
         while (content := _content(file)) is not None:
             whole = file.tell()
             yield decode_block(content)

@@ -19,7 +19,7 @@ from agent.recording.source import is_own, own_recording, own_recordings, withou
 from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.pipeline import Pipeline, resolutions
-from agent.runtime.recordings.playing import Playing, Track
+from agent.runtime.playing import Playing, Track
 from agent.runtime.results import RunSummary
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter

@@ -14,7 +14,7 @@ from scipy.signal import butter, lfilter
 
 from agent.blocks.estimation import Estimation
 from agent.runtime.assembly.methods import make_estimation
-from agent.runtime.recordings.playing import Track
+from agent.runtime.playing import Track
 from agent.runtime.replay import SOURCE, make_pipeline, opened
 from agent.types import EstimateBatch, FloatArray, Samples, Status
 from tests.statistical.machine import NAMES, SECOND, Machine, configuration, each, fresh, on_second

@@ -103,7 +103,8 @@ def _stored(path: Path, parameter: str | None) -> Iterator[_Part]:
 def _forwarded(histories: ParquetHistories | PostgresHistories, parameter: str | None) -> Iterator[_Part]:
     """Yield the parts of rigs whose rows were forwarded; of their forecasts nothing is known there."""
     for rig in histories.rigs:
-        history, limits = histories.history(rig, MOST_ROWS), histories.limits(rig)
+        history = histories.history(rig, MOST_ROWS)
+        limits = histories.limits(rig)
         for points in history.points():
             if parameter in {None, points.parameter}:
                 yield _Part(points, history.window_s, limits.get(points.parameter), None)

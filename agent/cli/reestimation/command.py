@@ -22,7 +22,8 @@ def reestimate(wanted: body.Wanted) -> dict[str, Any]:
 def print_reestimated(document: Document) -> None:
     """Print what was found of each rig, and how it was computed."""
     print_results(document)
-    rate, rigs = document["samples_per_s"] or 0.0, len(document["runs"])
+    rigs = len(document["runs"])
+    rate = document["samples_per_s"] or 0.0
     again = f", {document['repeated']} of them again" if document["repeated"] else ""
     where = f"{document['workers']} processes ({document['scheduler']})"
     show(

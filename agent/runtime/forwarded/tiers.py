@@ -162,8 +162,8 @@ def _minutes(piece: Piece) -> Piece:
 def _aggregated(rows: Piece, span: int, source: int) -> Piece:
     """Return periods of rows sorted by series and time, those with a valid row."""
     series = _numbered(rows)
-    count, valid = len(rows), _valid(rows)
-    none = np.zeros(count, dtype=np.int64)
+    valid = _valid(rows)
+    none = np.zeros(len(rows), dtype=np.int64)
     verdict = np.where(valid, _VALID, 0)
     window = np.nan_to_num(rows.window_s)
     repeat = np.where(np.isnan(rows.sd_repeat), rows.sd, rows.sd_repeat)

@@ -50,6 +50,24 @@ class _Piece(NamedTuple):
     prepared: Prepared | None
 
 
+class _Pieces:
+    """Where a part ends: with the first block of another hour, or the last of MOST_BLOCKS; None: nowhere."""
+
+    def __init__(self, hour_ns: int | None) -> None:
+        self._hour_ns = hour_ns
+        self._hour: int | None = None
+        self._taken = 0
+
+    def end_with(self, prepared: Prepared | None) -> bool:
+        """Tell whether a part ends with a block."""
+        if self._hour_ns is None or prepared is None:
+            return False
+        hour = prepared.newest_ns // self._hour_ns
+        self._hour = hour if self._hour is None else self._hour
+        self._taken += 1
+        return hour != self._hour or self._taken >= MOST_BLOCKS
+
+
 class Playing:
     """Recordings of one rig on their way through its pipeline, from the first block on.
 
@@ -85,28 +103,21 @@ class Playing:
         hour_ns: pause where the samples reach the next multiple of this, at the latest after MOST_BLOCKS; the
             next call goes on from there.
         """
-        for records in self._records(hour_ns):
+        for records in filter(None, self._records(hour_ns)):
             self.evidence.see(records)
             yield records
 
     def _records(self, hour_ns: int | None) -> Iterator[list[Record]]:
-        begun = None
-        pausing = False
-        taken = 0
         with ThreadPoolExecutor(1) as ahead:
+            pieces = _Pieces(hour_ns if self.can_pause else None)
             coming = ahead.submit(self._piece)
             while (piece := coming.result()) is not None:
                 ledger = self._due_ledger(piece.prepared)  # before the next is counted
-                if hour_ns is not None and piece.prepared is not None:
-                    hour = piece.prepared.newest_ns // hour_ns
-                    begun = hour if begun is None else begun
-                    taken += 1
-                    pausing = self.can_pause and (hour != begun or taken >= MOST_BLOCKS)
+                pausing = pieces.end_with(piece.prepared)
                 if not pausing:
                     coming = ahead.submit(self._piece)
                 yield from self._led_to(piece)
-                if ledger:
-                    yield ledger
+                yield ledger
                 if pausing:
                     return
         yield self.pipeline.finish()

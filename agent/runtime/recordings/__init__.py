@@ -1,1 +1,0 @@
-"""Recordings on their way through a pipeline."""

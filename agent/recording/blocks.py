@@ -19,7 +19,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import BinaryIO
@@ -91,19 +91,30 @@ def read_header(file: BinaryIO, path: Path) -> RawHeader:
         raise RecordingError.at(str(path), "its header is damaged", "use another segment") from error
 
 
-def read_blocks(path: Path | str) -> Iterator[SampleBlock]:
-    """Yield the blocks of a file up to the first that is cut short or damaged."""
+def read_blocks(path: Path | str, cut: Callable[[int], object] = lambda _left: None) -> Iterator[SampleBlock]:
+    """Yield the blocks of a file up to the first that is not whole; cut is told how many bytes are left."""
     path = Path(path)
     with path.open("rb") as file:
         read_header(file, path)
-        while len(frame := file.read(_FRAME.size)) == _FRAME.size:
-            length, crc = _FRAME.unpack(frame)
-            if not _HEAD.size <= length <= _LONGEST_BLOCK:
-                return
-            content = file.read(length)
-            if len(content) < length or zlib.crc32(content) != crc:
-                return
+        size = path.stat().st_size
+        whole = file.tell()
+        while (content := _content(file)) is not None:
+            whole = file.tell()
             yield decode_block(content)
+        if whole < size:
+            cut(size - whole)
+
+
+def _content(file: BinaryIO) -> bytes | None:
+    """Read what the next frame holds; None where it is not whole."""
+    frame = file.read(_FRAME.size)
+    if len(frame) < _FRAME.size:
+        return None
+    length, crc = _FRAME.unpack(frame)
+    if not _HEAD.size <= length <= _LONGEST_BLOCK:
+        return None
+    content = file.read(length)
+    return content if len(content) == length and zlib.crc32(content) == crc else None
 
 
 class BlockSegment:

@@ -17,11 +17,11 @@ With the index a replay gives the rows of the live run; without it the log is on
 import json
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from agent.errors import RecordingError
 from agent.recording.header import RawHeader
@@ -63,19 +63,32 @@ def read_header(path: Path) -> RawHeader:
         raise RecordingError.at(str(index_of(path)), "is no index of this version", advice) from error
 
 
-def read_pieces(path: Path) -> Iterator[Piece]:
-    """Yield the pieces of a recording up to the first that is cut short or damaged."""
+def read_pieces(path: Path, cut: Callable[[int], object] = lambda _left: None) -> Iterator[Piece]:
+    """Yield the pieces of a recording up to the first that is not whole; cut is told the bytes left."""
+    whole = 0
     with path.open("rb") as log, index_of(path).open("rb") as index:
         index.readline()
         for line in index:
-            try:
-                facts = json.loads(line)
-                text = b"".join(islice(log, facts["lines"]))
-                if zlib.crc32(text) != facts["crc"]:
-                    return
-                yield Piece(text, facts["arrival_ns"], facts["wall_offset_ns"], facts.get("beside", {}))
-            except (ValueError, TypeError, KeyError, AttributeError):
-                return
+            piece = _piece(line, log)
+            if piece is None:
+                break
+            whole += len(piece.text)
+            yield piece
+    left = path.stat().st_size - whole
+    if left > 0:
+        cut(left)
+
+
+def _piece(line: bytes, log: BinaryIO) -> Piece | None:
+    """Return what a line of the index says of the next lines of the log; None where they do not fit."""
+    try:
+        facts = json.loads(line)
+        text = b"".join(islice(log, facts["lines"]))
+        if zlib.crc32(text) != facts["crc"]:
+            return None
+        return Piece(text, facts["arrival_ns"], facts["wall_offset_ns"], facts.get("beside", {}))
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
 
 
 class CaptureSegment:

@@ -4,13 +4,14 @@ import logging
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
+from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
-from agent.errors import RecordingError
+from agent.errors import Fault, RecordingError
 from agent.recording import blocks, capture
 from agent.recording.header import RawHeader
 from drivers.port import Driver, DriverConfigError, DriverSettings, SampleBlock, SourceRequest
@@ -25,26 +26,60 @@ class RawSettings(DriverSettings):
 
 
 class OwnRecording(Driver):
-    """Plays recordings of one source, file after file, as received; `read` raises EOFError at the end."""
+    """Plays recordings of one source, file after file, as received; `read` raises EOFError at the end.
+
+    Pickled between two blocks it goes on behind them, where the files are there too.
+
+    Attributes:
+        damaged: files that could not be read to their end, in words.
+    """
 
     settings_model: ClassVar[type[DriverSettings]] = RawSettings
     finite: ClassVar[bool] = True
     _blocks: Iterator[SampleBlock] = iter(())
+    _file = 0
+    _read = 0
+    """Deliveries that were read of the current file."""
+
+    def __init__(self, request: SourceRequest) -> None:
+        super().__init__(request)
+        self.damaged: list[Fault] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_blocks"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._blocks = self._rest()
 
     def open(self) -> None:
         """See that every file is a recording with the fields asked for."""
         for path in self.request.settings.paths:
             _places(path, _header(path), self.request.fields)
-        self._blocks = chain.from_iterable(map(self._played, self.request.settings.paths))
+        self._file = self._read = 0
+        self._blocks = self._rest()
 
-    def _played(self, path: Path) -> Iterator[SampleBlock]:
-        header = _header(path)
-        self.counter_modulus = header.counter_modulus
-        return self.blocks(path, header)
+    def _rest(self) -> Iterator[SampleBlock]:
+        """Yield what is not read yet."""
+        paths = self.request.settings.paths
+        while self._file < len(paths):
+            header = _header(paths[self._file])
+            self.counter_modulus = header.counter_modulus
+            for block in self.blocks(paths[self._file], header, self._read):
+                self._read += 1
+                if len(block):
+                    yield block
+            self._file += 1
+            self._read = 0
 
     @abstractmethod
-    def blocks(self, path: Path, header: RawHeader) -> Iterator[SampleBlock]:
-        """Yield what a file holds."""
+    def blocks(self, path: Path, header: RawHeader, skip: int) -> Iterator[SampleBlock]:
+        """Yield what a file holds, behind so many deliveries."""
+
+    def cut(self, path: Path, left: int) -> None:
+        """Note that so many bytes at the end of a file cannot be read."""
+        what = f"is cut short or damaged, its last {left} bytes cannot be read"
+        self.damaged.append(Fault(str(path), what, "what stands before them is used; look for another copy"))
 
     def read(self, timeout_s: float) -> SampleBlock:
         """Return the next block."""
@@ -61,9 +96,9 @@ class OwnRecording(Driver):
 class RawDriver(OwnRecording):
     """Plays samples that were recorded as samples."""
 
-    def blocks(self, path: Path, header: RawHeader) -> Iterator[SampleBlock]:
+    def blocks(self, path: Path, header: RawHeader, skip: int) -> Iterator[SampleBlock]:
         columns = list(_places(path, header, self.request.fields))
-        for block in blocks.read_blocks(path):
+        for block in islice(blocks.read_blocks(path, partial(self.cut, path)), skip, None):
             self.counts.received += len(block)
             yield replace(block, values=block.values[:, columns])
 
@@ -85,27 +120,33 @@ class CaptureDriver(OwnRecording):
         self._line = line
         self.counts = line.counts
 
-    def blocks(self, path: Path, header: RawHeader) -> Iterator[SampleBlock]:
-        for piece in capture.read_pieces(path):
+    def blocks(self, path: Path, header: RawHeader, skip: int) -> Iterator[SampleBlock]:
+        for piece in islice(capture.read_pieces(path, partial(self.cut, path)), skip, None):
             block = self._line.decode_capture(piece.text, piece.beside)
-            if len(block):
-                yield replace(block, arrival_ns=piece.arrival_ns, wall_offset_ns=piece.wall_offset_ns)
+            yield replace(block, arrival_ns=piece.arrival_ns, wall_offset_ns=piece.wall_offset_ns)
 
     def resolution(self) -> tuple[float, ...]:
         return self._line.resolution()
 
 
-def _header(path: Path) -> RawHeader:
-    """Read a recording's header as a driver does. Raises DriverConfigError."""
+def header_of(path: Path) -> RawHeader:
+    """Read what one of the agent's own recordings says of itself. Raises RecordingError."""
     try:
         if path.suffix != blocks.SUFFIX:
             return capture.read_header(path)
         with path.open("rb") as file:
             return blocks.read_header(file, path)
+    except OSError as error:
+        what = f"cannot be read: {error.strerror or error}"
+        raise RecordingError.at(str(path), what, "look at its permissions") from error
+
+
+def _header(path: Path) -> RawHeader:
+    """Read a recording's header as a driver does. Raises DriverConfigError."""
+    try:
+        return header_of(path)
     except RecordingError as error:
         raise DriverConfigError(str(error)) from error
-    except OSError as error:
-        raise DriverConfigError(f"{path}: {error.strerror or error}") from error
 
 
 def _places(path: Path, header: RawHeader, fields: tuple[str, ...]) -> tuple[int, ...]:
@@ -134,7 +175,7 @@ def own_recordings(rig: RigConfig, paths: Sequence[Path]) -> dict[str, Driver]:
     sources = (*rig.source, *rig.covariate_source)
     files: dict[str, list[Path]] = {}
     for path in paths:
-        files.setdefault(_source_of(rig, path).name, []).append(path.absolute())
+        files.setdefault(source_of(rig, path).name, []).append(path.absolute())
     missing = [source.name for source in rig.source if source.name not in files]
     if missing:
         advice = "give the recordings of every source"
@@ -150,7 +191,7 @@ def own_recording(rig: RigConfig, path: Path) -> Driver:
 
     Raises RecordingError when no source with every channel was recorded there.
     """
-    source = _source_of(rig, path)
+    source = source_of(rig, path)
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     missing = [name for name in channels if name not in source.map]
     if missing:
@@ -160,18 +201,15 @@ def own_recording(rig: RigConfig, path: Path) -> Driver:
     return _driver(rig, source, [path.absolute()], tuple(source.map[name] for name in channels))
 
 
-def _source_of(rig: RigConfig, path: Path) -> Source:
+def source_of(rig: RigConfig, path: Path) -> Source:
     """Return the source of a recording: one whose fields it has, of the name it was recorded under if any."""
-    try:
-        header = _header(path)
-    except DriverConfigError as error:
-        raise RecordingError.at("", str(error), "give one of the agent's own recordings") from error
+    header = header_of(path)
     sources = (*rig.source, *rig.covariate_source)
     able = [source for source in sources if set(source.fields) <= set(header.fields)]
     named = [source for source in able if source.name == header.source] or able
     if not named:
         advice = "replay it with the configuration it was recorded with"
-        raise RecordingError.at("", f"{path}: no source of the configuration was recorded there", advice)
+        raise RecordingError.at(str(path), "no source of the configuration was recorded there", advice)
     if header.config_sha256 != rig.sha256:
         log.info("%s: was recorded with another configuration (%s)", path, header.config_sha256[:12])
     return named[0]

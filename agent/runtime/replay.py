@@ -2,39 +2,30 @@
 
 import ctypes
 import gc
-import heapq
 import logging
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import partial
-from itertools import chain
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from agent import __version__
-from agent.blocks.covariates.readings import instants, readings
+from agent.blocks.advisory.prognosis_alarms import PrognosisAlarms
 from agent.blocks.graph import graph_of
-from agent.clock import SampleLabels, boot_id, wall_ns
+from agent.clock import boot_id, wall_ns
 from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.config.tables import Source
-from agent.errors import RecordingError
+from agent.errors import AgentError, RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
 from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.forecasts.replayed import ReplayedForecasts
-from agent.runtime.ledger import Conservation
-from agent.runtime.limits import HEALTH_PERIOD_NS
-from agent.runtime.pipeline import Pipeline, Prepared, resolutions
+from agent.runtime.pipeline import Pipeline, resolutions
+from agent.runtime.playing import Playing, Track
 from agent.runtime.results import RunSummary
-from agent.runtime.sources import part
-from agent.runtime.usability import Evidence, assess
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import ClockRecord, FloatArray, IntArray, Record, RunInfo
-from drivers.port import Counts, Driver, DriverConfigError, DriverError, SampleBlock, SourceRequest
+from agent.types import Baseline, CovariateMean, Learnt, Record, RunInfo
+from drivers.port import Driver, DriverConfigError, DriverError, SourceRequest
 
 SOURCE = "recording"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
@@ -46,19 +37,6 @@ CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)
 
-Covariates = tuple[IntArray, Mapping[str, FloatArray]]
-"""Instants (n,), ns, and the readings (n,) of each covariate."""
-
-
-class Track(NamedTuple):
-    """What is played: the source that it stands for, and its open driver."""
-
-    source: str
-    driver: Driver
-    signals: tuple[int, ...] = ()
-    """Columns of its blocks that are the model's, where others are covariates."""
-    covariates: Mapping[str, int] = MappingProxyType({})
-
 
 def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict[str, Any]:
     """Replay recordings one after the other as one run; return the document of CONTRACT section 8.
@@ -67,34 +45,32 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     """
     rig = load(config)
     started = time.monotonic()
-    _keep_freed_memory()
+    keep_freed_memory()
     gc.set_threshold(_OBJECTS)
     with ExitStack() as stack:
-        tracks = _tracks(rig, recordings)
-        for track in tracks:
-            stack.callback(track.driver.close)
-        pipeline = make_pipeline(rig, tracks)
+        playing = begun(rig, recordings)
+        stack.callback(playing.close)
         summary = RunSummary(rig, db=None if db is None else str(db))
         writer = _writer(rig, db)
-        if writer is not None:
+        kept = None
+        if writer is not None and db is not None:
             stack.callback(writer.stop, timeout_s=600.0)
             summary.run_id = writer.run_ids[rig.rig.name]
-            _go_on(pipeline, writer, summary)
-        evidence = Evidence(rig.rig.sample_rate_hz)
-        kept = None if writer is None or db is None else _Kept(writer, _forecasts(rig, db, writer), pipeline)
-        for records in _records(pipeline, tracks, evidence):
+            for words in adopted(playing.pipeline, known(rig, writer)):
+                summary.advise(words)
+            kept = Kept(writer, forecasts(rig, db, writer), playing.pipeline.prognosis_alarms)
+        for records in playing.records():
             summary.take(records)
-            evidence.see(records)
             if kept is not None:
                 summary.take(kept.keep(records))
-        faults = assess(rig, str(recordings[0]), evidence, *_whole_counts(pipeline, tracks, evidence))
+        faults = playing.assessed(str(recordings[0]))
     for fault in faults:
         log.warning("%s", fault)
         summary.advise(str(fault))
     return summary.document(time.monotonic() - started)
 
 
-def _keep_freed_memory() -> None:
+def keep_freed_memory() -> None:
     """Let glibc's heap keep what is freed: block sizes recur, and fresh pages cost a tenth of all.
 
     A long-lived agent gives it back instead, and so does what has no glibc.
@@ -105,35 +81,61 @@ def _keep_freed_memory() -> None:
             set_option(option, size)
 
 
-def _go_on(pipeline: Pipeline, writer: StoreWriter, summary: RunSummary) -> None:
-    """Begin with what the database has of the rig: what was learnt, and its baselines."""
-    name = pipeline.config.rig.name
-    pipeline.adopt(writer.learnt[name], writer.covariates[name])
-    for words in pipeline.count_from(writer.baselines[name]):
+class Known(NamedTuple):
+    """What a database has of a rig before a replay: what was learnt, means of covariates, baselines."""
+
+    learnt: Learnt | None = None
+    covariates: Sequence[CovariateMean] = ()
+    baselines: tuple[Baseline, ...] = ()
+
+
+def known(rig: RigConfig, writer: StoreWriter) -> Known:
+    """Return what the database of a writer has of a rig."""
+    name = rig.rig.name
+    return Known(writer.learnt[name], writer.covariates[name], writer.baselines[name])
+
+
+def adopted(pipeline: Pipeline, before: Known) -> list[str]:
+    """Begin with what is known; return why some baselines are not used, in words."""
+    pipeline.adopt(before.learnt, before.covariates)
+    refused = pipeline.count_from(before.baselines)
+    for words in refused:
         log.warning("%s", words)
-        summary.advise(words)
+    return refused
 
 
-class _Kept(NamedTuple):
-    """Where records go: the store, and the forecasts that are made of what it holds."""
+class Kept(NamedTuple):
+    """Where records go: the store, and the forecasts that are made of what it holds, with their alarms."""
 
     writer: StoreWriter
     forecasts: ReplayedForecasts
-    pipeline: Pipeline
+    alarms: PrognosisAlarms
 
-    def keep(self, records: list[Record]) -> list[Record]:
+    def keep(self, records: Sequence[Record]) -> list[Record]:
         """Store records and the forecasts that are due; return the alarms of these."""
         self.writer.publish(records)
         found: list[Record] = []
         for made in self.forecasts.step(records):
-            alarms = self.pipeline.foreseen(made.outlooks)
+            alarms: list[Record] = [change for look in made.outlooks for change in self.alarms.step(look)]
             self.writer.publish([*made.records, *alarms])
             found += alarms
         return found
 
 
-def _forecasts(rig: RigConfig, db: Path, writer: StoreWriter) -> ReplayedForecasts:
+def forecasts(rig: RigConfig, db: Path, writer: StoreWriter) -> ReplayedForecasts:
+    """Return what makes the forecasts of a replay into a database."""
     return ReplayedForecasts(rig, db, lambda: writer.flush(600.0))
+
+
+def begun(rig: RigConfig, recordings: Sequence[Path]) -> Playing:
+    """Open recordings and make the pipeline that they are played to. Raises ConfigError, RecordingError."""
+    tracks = _tracks(rig, recordings)
+    try:
+        return Playing(make_pipeline(rig, tracks), tracks)
+    except AgentError:
+        for track in tracks:
+            track.driver.close()
+        raise
 
 
 def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
@@ -168,7 +170,7 @@ def _track(rig: RigConfig, path: Path) -> Track:
     """Return one recording of all channels, with those covariates that it holds."""
     beside = [one.name for one in rig.covariate]
     if is_own(path) or not beside or path.suffix.lower() in CAN_LOGS:
-        return Track(SOURCE, opened(rig, path))
+        return Track(SOURCE, opened(rig, path), (), {})
     _must_be_a_file(path)
     own = len(rig.channel)
     places = {name: own + place for place, name in enumerate(beside)}
@@ -271,151 +273,19 @@ def _table(rig: RigConfig, path: Path, beside: Sequence[str] = ()) -> Driver:
 
 
 def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
-    if db is None:
-        return None
-    run = RunInfo(
-        rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, boot_id=boot_id(),
-        learnt_key=learnt_key(rig),
-        site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
-    )  # fmt: skip
-    writer = StoreWriter(lambda: Store.open(db), [run], lossless=True, period_s=_COMMIT_S)
+    return None if db is None else writer_of([rig], db)
+
+
+def writer_of(rigs: Sequence[RigConfig], db: Path) -> StoreWriter:
+    """Return a writer, started, of a replay of each rig. Raises StoreError."""
+    runs = [
+        RunInfo(
+            rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, boot_id=boot_id(),
+            learnt_key=learnt_key(rig),
+            site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
+        )
+        for rig in rigs
+    ]  # fmt: skip
+    writer = StoreWriter(lambda: Store.open(db), runs, lossless=True, period_s=_COMMIT_S)
     writer.start()
     return writer
-
-
-def _whole_counts(
-    pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence
-) -> tuple[Counts, Counter[str]]:
-    """Return what all drivers counted and acquisition refused; the drivers' remarks go to the evidence."""
-    total = Counts()
-    refused = Counter[str]()
-    for driver in (track.driver for track in tracks if track.signals or not track.covariates):
-        total.received += driver.counts.received
-        total.rejected.update(driver.counts.rejected)
-        notes = driver.take_notes()
-        evidence.notes += notes
-        for note in notes:
-            log.info("%s", note)
-    for state in pipeline.acquisition.sources.values():
-        refused.update(state.refusals())
-    return total, refused
-
-
-class _Piece(NamedTuple):
-    """What a block leads to before anything is estimated; a block of covariates only leads to no samples."""
-
-    settings: list[ClockRecord]
-    covariates: Covariates | None
-    prepared: Prepared | None
-
-
-def _records(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> Iterator[list[Record]]:
-    """Yield what each block leads to, with the ledger every 10 s of samples and at the end."""
-    ledgers = _Ledgers(pipeline, tracks)
-    for piece, ledger in _ahead(_pieces(pipeline, tracks, evidence), ledgers.due):
-        if piece.covariates is not None:
-            pipeline.take_covariates(*piece.covariates)
-        if piece.prepared is not None:
-            yield [*piece.settings, *pipeline.estimate(piece.prepared)]
-        if ledger:
-            yield ledger
-    yield pipeline.finish()
-    yield ledgers.now()
-
-
-def _ahead(
-    pieces: Iterator[_Piece], note: Callable[[_Piece], list[Record]]
-) -> Iterator[tuple[_Piece, list[Record]]]:
-    """Yield pieces, each noted before another thread makes the next while this one is used."""
-    with ThreadPoolExecutor(1) as other:
-        coming = other.submit(next, pieces, None)
-        while (piece := coming.result()) is not None:
-            noted = note(piece)
-            coming = other.submit(next, pieces, None)
-            yield piece, noted
-
-
-def _pieces(pipeline: Pipeline, tracks: Sequence[Track], evidence: Evidence) -> Iterator[_Piece]:
-    """Yield the blocks, prepared."""
-    labels = SampleLabels(pipeline.config.rig.sample_rate_hz)
-    played = Counter[str]()
-    for track, block in _played(tracks):
-        # blocks that were received live are labelled as they were then
-        evidence.watch(block)
-        received = block.wall_offset_ns is not None
-        label = partial(labels.label, arrival_ns=block.arrival_ns, offset_ns=block.wall_offset_ns or 0)
-        covariates = _covariates(pipeline, track, block, played)
-        if track.covariates and not track.signals:
-            yield _Piece([], covariates, None)
-            continue
-        signals = part(block, track.signals) if track.covariates else block
-        pipeline.take(track.source, signals, track.driver.counter_modulus, label if received else None)
-        prepared = pipeline.prepare()
-        yield _Piece(_settings(pipeline.config.rig.name, labels), covariates, prepared)
-
-
-def _covariates(
-    pipeline: Pipeline, track: Track, block: SampleBlock, played: Counter[str]
-) -> Covariates | None:
-    """Return the instants and readings of a block's covariates; None where it has none."""
-    if not track.covariates:
-        return None
-    stamps = instants(block, pipeline.config.rig.sample_rate_hz, played[track.source])
-    played[track.source] += len(block)
-    return stamps, readings(block, track.covariates)
-
-
-def _settings(rig: str, labels: SampleLabels) -> list[ClockRecord]:
-    """Return what stamps mean from now on: how the wall clock was set as the samples were received."""
-    found = [ClockRecord(rig, anchor.label_ns, anchor.first, anchor.offset_ns) for anchor in labels.anchors]
-    labels.anchors.clear()
-    labels.steps.clear()
-    return found
-
-
-class _Ledgers:
-    """The ledgers of a replay, which are due every 10 s of samples."""
-
-    def __init__(self, pipeline: Pipeline, tracks: Sequence[Track]) -> None:
-        self._pipeline, self._tracks = pipeline, tracks
-        self._next: int | None = None
-
-    def due(self, piece: _Piece) -> list[Record]:
-        """Return the ledger as of a piece that is prepared and not estimated yet, where it is due."""
-        if piece.prepared is None:
-            return []
-        newest_ns = piece.prepared.newest_ns
-        if self._next is not None and self._next - HEALTH_PERIOD_NS <= newest_ns < self._next:
-            return []
-        self._next = newest_ns + HEALTH_PERIOD_NS
-        return self.now(piece.prepared.waiting)
-
-    def now(self, prepared: int = 0) -> list[Record]:
-        """Return the ledger; prepared: samples that wait for the estimation alone."""
-        counts = {track.source: Counts() for track in self._tracks}
-        for source, driver in ((track.source, track.driver) for track in self._tracks):
-            counts[source].received += driver.counts.received
-            counts[source].rejected.update(driver.counts.rejected)
-            counts[source].dropped.update(driver.counts.dropped)
-            counts[source].faults.update(driver.counts.faults)
-        conservation = {source: Conservation(total, Counter()) for source, total in counts.items()}
-        return list(self._pipeline.ledger.health(conservation, self._pipeline.newest_ns, None, prepared))
-
-
-def _played(tracks: Sequence[Track]) -> Iterator[tuple[Track, SampleBlock]]:
-    """Yield the blocks: of several sources in the order of their arrival, of one source track after track."""
-    streams = [_blocks(track) for track in tracks]
-    if len({track.source for track in tracks}) < 2:
-        yield from chain.from_iterable(streams)
-    else:
-        yield from heapq.merge(*streams, key=lambda delivery: delivery[1].arrival_ns)
-
-
-def _blocks(track: Track) -> Iterator[tuple[Track, SampleBlock]]:
-    while True:
-        try:
-            yield track, track.driver.read(1.0)
-        except EOFError:
-            return
-        except DriverError as error:
-            raise RecordingError.at("", str(error), "mend or cut the recording") from error

@@ -12,10 +12,10 @@ from agent.notification.targets import Targets
 from agent.recording.event_writer import EventWriter
 from agent.recording.events import EventKeeper
 from agent.recording.setup import event_writer, recorder
-from agent.runtime.databases import RunKind, Writer, path_of, writers_of
 from agent.runtime.forecasts.making import Forecaster
 from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.process.announcing import announce
+from agent.runtime.process.databases import RunKind, Writer, path_of, writers_of
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Connection, connect
 from agent.storage.tables.notifications import Route

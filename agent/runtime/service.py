@@ -14,7 +14,6 @@ from agent.config.process.settings import agreed
 from agent.errors import AgentError, Fault, UsageError
 from agent.recording.event_writer import EventWriter
 from agent.recording.recorder import Recorder
-from agent.runtime.databases import RunKind, Writer, writers_of
 from agent.runtime.exchange import Prepared, exchange, plan, prepare, tell
 from agent.runtime.limits import (
     ABANDON_S,
@@ -32,6 +31,7 @@ from agent.runtime.limits import (
     SILENCE_S,
     WRITER_PATIENCE,
 )
+from agent.runtime.process.databases import RunKind, Writer, writers_of
 from agent.runtime.process.deadline import Deadline
 from agent.runtime.process.heartbeats import Thread
 from agent.runtime.process.memory import release_free_pages

@@ -13,8 +13,7 @@ from agent.config import load
 from agent.evaluation.score.measures import Assessment
 from agent.evaluation.score.play import Outcome, open_bench, play
 from agent.evaluation.score.score import _expectation, _failures
-from agent.runtime.replay import _ledger, _records, _tracks, make_pipeline
-from agent.runtime.usability import Evidence
+from agent.runtime.replay import begun
 from agent.types import Record
 from sim_bus.rig.fault_names import KNOWN
 from sim_bus.rig.scenario import load_scenario
@@ -134,13 +133,8 @@ def _recording(
 
 
 def _replayed(config: Path, recording: Path, every: int) -> list[str]:
-    rig = load(config)
-    tracks = _tracks(rig, [recording])
-    pipeline = make_pipeline(rig, tracks)
-    found: list[Record] = []
-    for records in _records(pipeline, tracks, Evidence(rig.rig.sample_rate_hz)):
-        found += records
-    ledger = _ledger(pipeline, tracks)
-    for driver in (track.driver for track in tracks):
-        driver.close()
+    playing = begun(load(config), [recording])
+    found: list[Record] = [record for records in playing.records() for record in records]
+    ledger = playing.ledger()
+    playing.close()
     return lines(found, ledger, every)

@@ -1,15 +1,23 @@
 """PostgreSQL: what arrived equals v_estimates, each row once, whatever is cut, and nobody hears a secret."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import psycopg
 import pytest
+from typer.testing import CliRunner
 
+from agent.cli.app import app
+from agent.cli.prognosis.fleet import fleet
 from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
+from agent.errors import UsageError
+from agent.northbound.interface.peer import Place
+from agent.northbound.postgres.peer import PostgresPeer
 from agent.storage.read import queries
+from tests.northbound.forwarded import TOPICS, forwarded, same, worn
 from tests.northbound.line import disturb, line_to, postgres
 from tests.northbound.supply import events, numbers, supplied
 from tests.northbound.test_mqtt import said_of
@@ -131,3 +139,17 @@ def test_wrong_password_table_that_is_full_and_server_that_is_gone_are_one_event
     assert PLANTED not in caplog.text
     kept = b"".join(file.read_bytes() for file in memory.glob("*.db*"))
     assert PLANTED.encode() not in kept
+
+
+def test_fleet_of_a_server_says_what_it_says_of_the_database(memory: Path, server: int) -> None:
+    path = worn(memory, "press-0", 90, 60)
+    consumer = plant(server, "fleet", memory, topics=TOPICS)
+    forwarded(path, PostgresPeer(consumer, Place(path, memory)))
+    address = f"postgresql://deltak:{PLANTED}@127.0.0.1:{server}/postgres"
+    answer = CliRunner().invoke(app, ["fleet", f"{address}#fleet", "--json"])
+    assert same(json.loads(answer.stdout)["rows"], path)
+    for wrong in (f"{address}#other", f"{address.replace(PLANTED, PLANTED[::-1])}#fleet"):
+        with pytest.raises(UsageError, match="cannot be read: ") as error:
+            fleet([wrong], "90d", None, 20.0)
+        assert PLANTED not in str(error.value)
+        assert PLANTED[::-1] not in str(error.value)

@@ -16,8 +16,10 @@ import pytest
 
 from agent.config import load
 from agent.runtime import replay
+from agent.runtime.reestimation.reestimate import Wanted, reestimate
 from agent.runtime.service import Service
 from agent.types import FloatArray
+from tests.replay.archives import Here
 from tests.scenario.live import example, hops, rows, wait_until
 from tests.sim.rigs import Simulator, simulator
 
@@ -141,14 +143,21 @@ def _recordings(live: Live) -> list[Path]:
 
 
 def test_raw_recording_of_a_live_run_replays_to_the_same_rows_to_the_last_bit(
-    live: Live, tmp_path: Path
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("agent.runtime.reestimation.pools.LocalPool", Here)
     alarms = (
         "SELECT kind, parameter, state, raised_at, cleared_at, delta, sd FROM v_alarms WHERE kind = 'level'"
     )
     for name in ("one.db", "two.db"):
-        files = sorted(live.db.with_name("live.db.raw").iterdir()) if name == "one.db" else _recordings(live)
-        document = replay.replay(config=live.config, recordings=files, db=tmp_path / name)
+        if name == "one.db":
+            document = replay.replay(config=live.config, recordings=_recordings(live), db=tmp_path / name)
+        else:  # in parts of a second, each begun where the one before ended, indexes among the recordings
+            folder = live.db.with_name("live.db.raw")
+            wanted = Wanted([folder], [live.config], str(tmp_path / name), workers=1, hour_ns=1_000_000_000)
+            found = reestimate(wanted, lambda _: None)
+            assert found["parts"] >= 3
+            (document,) = found["runs"]
         assert document["samples"] == {
             "received": 3000,
             "used": 3000,

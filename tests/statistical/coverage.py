@@ -14,7 +14,8 @@ from scipy.signal import butter, lfilter
 
 from agent.blocks.estimation import Estimation
 from agent.runtime.assembly.methods import make_estimation
-from agent.runtime.replay import SOURCE, Track, make_pipeline, opened
+from agent.runtime.playing import Track
+from agent.runtime.replay import SOURCE, make_pipeline, opened
 from agent.types import EstimateBatch, FloatArray, Samples, Status
 from tests.statistical.machine import NAMES, SECOND, Machine, configuration, each, fresh, on_second
 
@@ -175,7 +176,7 @@ def _replayed(case: Case, read: Readings) -> list[EstimateBatch]:
         x1, x2 = read.y.T
         np.savez(path, t=np.arange(len(read.force)) / SECOND, force=read.force, x1=x1, x2=x2)
         driver = opened(config, path)
-        pipeline = make_pipeline(config, [Track(SOURCE, driver)])
+        pipeline = make_pipeline(config, [Track(SOURCE, driver, (), {})])
         records = pipeline.step(SOURCE, driver.read(1.0), None, None) + pipeline.finish()
         driver.close()
     return [record for record in records if isinstance(record, EstimateBatch)]

@@ -67,8 +67,11 @@ def trend(  # noqa: PLR0913, PLR0917 the signature is the command line
 )
 def fleet(
     files: Annotated[
-        list[Path],
-        typer.Argument(metavar="[learn] DB|FOLDER|TABLE...", help="Databases, or folders of them."),
+        list[str],
+        typer.Argument(
+            metavar="[learn] DB|FOLDER|URL|TABLE...",
+            help="Databases, folders of them, Parquet archives, postgresql://USER@HOST/NAME#PREFIX.",
+        ),
     ],
     within: Annotated[
         str, typer.Option(metavar="T", help="How far ahead the chance is of: 90d, 12h.")
@@ -87,8 +90,8 @@ def fleet(
     """Tell which parts of many machines change fastest and which reach a limit."""
     from agent.cli.prognosis import fleet as commands_fleet
 
-    if str(files[0]) == "learn":
-        document = commands_fleet.learn_prior(files[1:], parameter, limit, to)
+    if files[0] == "learn":
+        document = commands_fleet.learn_prior([Path(file) for file in files[1:]], parameter, limit, to)
         answer(document, commands_fleet.print_learnt, as_json=json)
     else:
         document = commands_fleet.fleet(files, within, parameter, limit_percent)

@@ -58,6 +58,38 @@ def replay(
 
 
 @part.command()
+def reestimate(
+    archives: Annotated[
+        list[Path], typer.Argument(metavar="ARCHIVE...", help="Recordings, or folders of them.")
+    ],
+    config: Annotated[
+        list[Path],
+        typer.Option("--config", metavar="NEW", help="For the rig of its name; the only one is for all."),
+    ],
+    scheduler: Annotated[
+        str,
+        typer.Option(metavar="local|ADDRESS", help="Processes here, or a Dask scheduler's dask://HOST:PORT."),
+    ] = "local",
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Processes here; one a core without it.")
+    ] = None,
+    db: Annotated[
+        str | None,
+        typer.Option("--db", metavar="FILE|FOLDER/", help="One database for all rigs, or one each."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Estimate archives of raw recordings again under another model, window or version, rigs side by side."""
+    from agent.cli.reestimation import command as commands_reestimate
+    from agent.runtime.reestimation.reestimate import Wanted
+
+    document = commands_reestimate.reestimate(Wanted(archives, config, db, scheduler, workers))
+    answer(document, commands_reestimate.print_reestimated, as_json=json)
+    if document["errors"]:
+        raise typer.Exit(2)
+
+
+@part.command()
 def status(agent: Agent = None, json: Json = False) -> None:
     """Tell how a running agent is: rigs, sources, alarms, databases, threads."""
     from agent.cli.gateway import status as commands_status

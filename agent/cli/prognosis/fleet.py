@@ -1,8 +1,8 @@
 """`deltak fleet`: parts of many machines in one table, most urgent first; and what like machines teach."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from agent.cli.terminal.output import print_table, show
 from agent.errors import UsageError
@@ -18,6 +18,8 @@ from agent.runtime.forecasts.histories import (
     write_prior,
 )
 from agent.runtime.forecasts.record import record_of
+from agent.runtime.forwarded.archive import ParquetHistories, is_archive
+from agent.runtime.forwarded.postgres import PostgresHistories, is_address
 from agent.storage.read import baselines, queries
 from agent.text import ahead, number, short_time
 
@@ -27,10 +29,18 @@ MOST_ROWS = 1500
 """Of one part that are read: evenly spread hours are enough for a slope."""
 
 
-def fleet(files: Sequence[Path], within: str, parameter: str | None, limit_percent: float) -> dict[str, Any]:
-    """Return a row for each rig and parameter of databases. Raises StoreError; UsageError for no file."""
+def fleet(
+    places: Sequence[Path | str], within: str, parameter: str | None, limit_percent: float
+) -> dict[str, Any]:
+    """Return a row for each rig and parameter of databases, archives and servers.
+
+    Raises StoreError; UsageError for no place, or one that cannot be read.
+    """
     horizon = horizon_days(within)
-    rows = [row for path in databases(files) for row in _rows(path, parameter, horizon, limit_percent)]
+    rows = [
+        _row(part, horizon, limit_percent) | {"covariates": list(part.covariates), "record": part.record}
+        for part in _parts(places, parameter)
+    ]
     rows.sort(key=lambda row: (-(row["chance"] or 0.0), -abs(row["slope_percent_per_year"] or 0.0)))
     return {"rows": rows, "within_s": horizon * 86_400.0 if horizon is not None else None}
 
@@ -42,14 +52,43 @@ def databases(files: Sequence[Path]) -> list[Path]:
         found += sorted(path.glob("*.db")) if path.is_dir() else [path]
     if not found:
         raise UsageError.at(
-            "DB", f"no .db file in {', '.join(map(str, files))}", "name databases, or folders of them"
+            "DB",
+            f"no .db file in {', '.join(map(str, files))}",
+            "name databases, folders of them, Parquet archives, or postgresql://...",
         )
     return found
 
 
-def _rows(
-    path: Path, parameter: str | None, horizon: float | None, limit_percent: float
-) -> list[dict[str, Any]]:
+class _Part(NamedTuple):
+    """One parameter of one rig: its points, the longest window of its rows, its limit, its past forecasts.
+
+    covariates: those that were taken out of the points.
+    """
+
+    points: queries.Points
+    window_s: float
+    limit: float | None
+    record: Document | None
+    covariates: tuple[str, ...] = ()
+
+
+def _parts(places: Sequence[Path | str], parameter: str | None) -> Iterator[_Part]:
+    """Yield what is shown of one parameter or all, place after place."""
+    files: list[Path] = []
+    for place in places:
+        if isinstance(place, str) and is_address(place):
+            yield from _forwarded(PostgresHistories(place), parameter)
+        elif is_archive(Path(place)):
+            yield from _forwarded(ParquetHistories(Path(place)), parameter)
+        else:
+            files.append(Path(place))
+    if files:
+        for path in databases(files):
+            yield from _stored(path, parameter)
+
+
+def _stored(path: Path, parameter: str | None) -> Iterator[_Part]:
+    """Yield the parts of the rigs of a database."""
     limits = {
         (a["rig"], a["parameter"]): a["limit_value"] for a in queries.alarms(path) if a["kind"] == "level"
     }
@@ -57,37 +96,39 @@ def _rows(
     for made in queries.forecasts(path):
         past.setdefault((made["rig"], made["parameter"]), []).append(made)
     window = queries.longest_window(path)
-    found = []
     for rig in queries.rigs(path):
         standing = baselines.standing(path, rig)
         for points in queries.all_points(path, rig, MOST_ROWS):
-            name = points.parameter
-            if parameter in {None, name}:
+            if parameter in {None, points.parameter}:
+                key = rig, points.parameter
                 same = compensated(path, points, standing)
-                row = _row(same.points, window, limits.get((rig, name)), horizon, limit_percent)
-                row["covariates"] = list(same.covariates)
-                found.append(row | {"record": record_of(past.get((rig, name), []))})
-    return found
+                record = record_of(past.get(key, []))
+                yield _Part(same.points, window, limits.get(key), record, tuple(same.covariates))
 
 
-def _row(
-    points: queries.Points,
-    window: float,
-    alarm_limit: float | None,
-    horizon: float | None,
-    limit_percent: float,
-) -> dict[str, Any]:
+def _forwarded(histories: ParquetHistories | PostgresHistories, parameter: str | None) -> Iterator[_Part]:
+    """Yield the parts of rigs whose rows were forwarded; of their forecasts nothing is known there."""
+    for rig in histories.rigs:
+        history = histories.history(rig, MOST_ROWS)
+        limits = histories.limits(rig)
+        for points in history.points():
+            if parameter in {None, points.parameter}:
+                yield _Part(points, history.window_s, limits.get(points.parameter), None)
+
+
+def _row(part: _Part, horizon: float | None, limit_percent: float) -> dict[str, Any]:
     """Return what is said of one parameter of one rig; a forecast only where there is a trend."""
+    points = part.points
     row: dict[str, Any] = {
         "rig": points.rig, "parameter": points.parameter, "slope_percent_per_year": None, "trend": False,
         "limit": None, "status": "no trend", "p50_s": None, "p50_at": None, "chance": None,
     }  # fmt: skip
-    history = history_of(points, window)
+    history = history_of(points, part.window_s)
     asked = change(without(history, find_steps(history)))
     reference = points.reference if points.reference is not None else _first(points)
     if asked is None or reference is None:
         return row
-    row["limit"] = limit = _limit(asked, reference, alarm_limit, limit_percent)
+    row["limit"] = limit = _limit(asked, reference, part.limit, limit_percent)
     if not asked.trend:
         return row
     if reference:
@@ -122,9 +163,9 @@ def print_fleet(found: Document) -> None:
     print_table(f"chance within {ahead(found['within_s'])}", titles, rows, right=numbers)
 
 
-def _held(record: Document) -> str:
+def _held(record: Document | None) -> str:
     """Say how many of the forecasts made there came as they said."""
-    return f"{record['held']} of {record['made']}" if record["made"] else "-"
+    return f"{record['held']} of {record['made']}" if record and record["made"] else "-"
 
 
 def learn_prior(

@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 
 from agent.config import RigConfig
 from agent.errors import AgentError, StoreError
-from agent.runtime.databases import density_of, path_of, runs_of, writer_of
+from agent.runtime.process.databases import density_of, path_of, runs_of, writer_of
 from agent.runtime.rig_set import RigSet
 from agent.runtime.workers.losses import Losses, batches_of
 from agent.runtime.workers.piped import Batch, Facts, Runs

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.config import RigConfig
-from agent.runtime.databases import RunKind
+from agent.runtime.process.databases import RunKind
 from agent.runtime.process.heartbeats import Thread
 
 MAKE, RUN, STOP, PREPARE, TAKE_UP, FORGET = "make", "run", "stop", "prepare", "take up", "forget"

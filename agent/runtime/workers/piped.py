@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.config import RigConfig
-from agent.runtime.databases import RunKind, path_of, runs_of
+from agent.runtime.process.databases import RunKind, path_of, runs_of
 from agent.runtime.workers.link import Link, Tell
 from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.notifications import Route

@@ -13,7 +13,7 @@ from agent.clock import monotonic_ns
 from agent.config import RigConfig, driver_class, files_of, load_many
 from agent.errors import ConfigError, Fault
 from agent.runtime.assembly.source_faults import source_error
-from agent.runtime.databases import RunKind
+from agent.runtime.process.databases import RunKind
 from agent.runtime.process.memory import keep_heap_small
 from agent.runtime.service import Reread, Service
 from agent.runtime.workers.spread import wanted_workers

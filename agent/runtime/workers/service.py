@@ -9,8 +9,8 @@ from typing import Any
 
 from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig
-from agent.runtime.databases import RunKind, path_of
 from agent.runtime.limits import END_S, PAUSE_NS, RELOAD_S, SILENCE_S
+from agent.runtime.process.databases import RunKind, path_of
 from agent.runtime.process.heartbeats import Thread
 from agent.runtime.results import RunSummary
 from agent.runtime.service import Reread, Service

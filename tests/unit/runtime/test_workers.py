@@ -13,7 +13,7 @@ import pytest
 
 from agent.config import RigConfig, load, load_many
 from agent.errors import AgentError, ConfigError, Fault
-from agent.runtime.databases import density_of
+from agent.runtime.process.databases import density_of
 from agent.runtime.service import Service
 from agent.runtime.workers.link import Link, Tell
 from agent.runtime.workers.losses import Losses

@@ -1,0 +1,1 @@
+"""`deltak reestimate`."""

@@ -1,0 +1,1 @@
+"""Histories that left the gateway: what consumers got, read again."""

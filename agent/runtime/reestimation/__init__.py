@@ -1,0 +1,1 @@
+"""Archives of raw recordings estimated again, rigs beside each other and hour after hour."""

@@ -165,3 +165,20 @@ DRIVEN = Chain(
     (5.0, 3.0), (25.0, 100.0), (5.0, 5.0), 1000.0, (("displacement", 0), ("acceleration", 1)), (7e-5, 5e-3)
 )  # fmt: skip
 """An accelerometer where the force acts."""
+SLOW = Chain(
+    (8.0, 4.0), (600.0, 900.0), (12.0, 9.0), 200.0, (("velocity", 0), ("displacement", 1)), (1e-4, 2e-5),
+    window_s=2.5, force_n=5.0, force_hz=6.0,
+)  # fmt: skip
+FELT = Chain(
+    (2.0, 1.0), (800.0, 1500.0), (4.0, 5.0), 1000.0, (("acceleration", 0), ("acceleration", 1)),
+    (5e-3, 5e-3), force_n=3.0, force_hz=15.0,
+)  # fmt: skip
+SMALL = Chain(
+    (0.05, 0.08), (9000.0, 6000.0), (1.2, 0.9), 5000.0, (("displacement", 0), ("acceleration", 1)),
+    (2e-7, 0.05), window_s=0.2, force_n=0.5, force_hz=100.0,
+)  # fmt: skip
+SHAKEN = Chain(
+    (0.4,), (1600.0,), (1.5,), 2000.0, (("acceleration", 0),), (0.02,), window_s=0.5, force_n=1.0,
+    force_hz=20.0,
+)  # fmt: skip
+"""Rigs of other rates and sensors: few samples a period, accelerometers only, light parts, one mass."""

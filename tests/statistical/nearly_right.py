@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from agent.runtime.replay import SOURCE, make_pipeline
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, Record, Status, Verdict
 from drivers.port import SampleBlock
-from tests.statistical.chains import DRIVEN, ONE, THREE, TWO, Chain
+from tests.statistical.chains import DRIVEN, FELT, ONE, SHAKEN, SLOW, SMALL, THREE, TWO, Chain
 
 SETTLE_WINDOWS = 2
 BLOCK = 5000
@@ -201,6 +201,13 @@ CASES: dict[str, Case] = {
     "force not straight": Case(changes=(crooked,), right=frozenset({"delay"})),
     "held, hold first": Case(changes=(held,), right=frozenset({"delay"}), said=True),
     "held, hold first, one mass": Case(ONE, (held,), right=frozenset({"delay"})),
+    "held, hold first, 200 Hz": Case(SLOW, (held,), right=frozenset({"delay"}), said=True),
+    "held, hold first, accelerometers": Case(FELT, (held,), right=frozenset({"delay"}), said=True),
+    "held, hold first, light parts": Case(SMALL, (held,), right=frozenset({"delay"}), said=True),
+    "AR sensors and held, accelerometers": Case(FELT, (coloured(0.95), held), right=frozenset({"delay"})),
+    "gain drifts, one mass": Case(
+        SHAKEN, (drift(0, 0.05),), right=frozenset({"m1", "a1", "a1 drifts", "force", "force drifts"})
+    ),
     "hum": Case(changes=(hum(1.4e-4),)),
     "hum, three masses": Case(THREE, (hum(4e-5),)),
     "driving-point accelerometer": Case(DRIVEN, (read_noise(0.002),)),

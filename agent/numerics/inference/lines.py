@@ -28,10 +28,11 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
     residual = np.vstack([np.abs(regression.X[..., -1]) ** 2, np.abs(regression.high) ** 2])
     power = residual / np.exp(2 * noise.log_sigma)
     level = noise.levels[bin_of]
+    columns = slice(regression.layout.psi.start, regression.layout.base)  # parameters and constants
     for channel in range(power.shape[1]):
         shapes = np.column_stack([
             regression.driven[:, channel], np.abs(cells.D[cell_of, channel]) ** 2,
-            np.abs(regression.X[np.minimum(cell_of, bins.kept - 1), channel, regression.layout.psi]) ** 2,
+            np.abs(regression.X[np.minimum(cell_of, bins.kept - 1), channel, columns]) ** 2,
         ])  # fmt: skip
         shapes = shapes[:, (shapes > 0).all(axis=0)]
         for _ in range(LEAKAGE_ROUNDS):

@@ -159,7 +159,8 @@ class _Seen:
             dB[:, columns], dD[:, columns] = B[:, columns], D[:, columns]
         elif self.late is not None:
             late = self.late[constant.number] * self.input_gain[m:]
-            dB[:, m:], dD[:, m:] = late[: len(A)], self.output_gain[:, None] * late[len(A) :]
+            dB[:, m:] = late[: len(A)]
+            dD[:, m:] = self.output_gain[:, None] * late[len(A) :]
         return dA, dB, dC, dD
 
 

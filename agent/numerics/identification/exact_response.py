@@ -21,10 +21,10 @@ from agent.types import ComplexArray, FloatArray
 
 LONGEST, MOST_PIECES = 16_384, 6
 """Samples of a piece and number of pieces at most: the start of an estimate needs no more."""
-MOST_BINS = 1200
+MOST_KEPT = 1200
 FIRST_STEPS, FINALISTS = 5, 2
 """Steps after which the starts are compared, and how many of them go on."""
-STEPS, RESTS, HOPELESS = 20, 1e-2, 1e6
+MOST_ROUNDS, RESTS_SHARE, HOPELESS = 20, 1e-2, 1e6
 NEIGHBOURS = 15
 STRETCH, VAGUE = 0.7, 3.0
 """Logarithms: by how much a step changes a parameter at most, and how well it is known before (an sd)."""
@@ -70,7 +70,7 @@ def refined(
     chosen = [_piece(y[:LONGEST], u[:LONGEST], period_s, sigma, fastest) for y, u in longest]
     fitting = _Fitting(model, chosen, period_s, hold)
     nearer = sorted((fitting.fitted(np.log(theta), FIRST_STEPS) for theta in starts), key=lambda way: way[0])
-    ways = [fitting.fitted(phi, STEPS) for _, phi in nearer[:FINALISTS]]
+    ways = [fitting.fitted(phi, MOST_ROUNDS) for _, phi in nearer[:FINALISTS]]
     count = sum(piece.Y.size for piece in chosen)
     return [Minimum(cost / count, np.exp(phi)) for cost, phi in sorted(ways, key=lambda way: way[0])]
 
@@ -78,7 +78,7 @@ def refined(
 def _piece(y: FloatArray, u: FloatArray, period_s: float, sigma: FloatArray, fastest: float) -> _Piece:
     omega = 2 * np.pi * np.fft.rfftfreq(len(y), period_s)
     last = int(np.searchsorted(omega, min(fastest, 0.9 * omega[-1])))
-    kept = slice(1, last, -(-last // MOST_BINS))  # a constant is an offset, and what rests on it
+    kept = slice(1, last, -(-last // MOST_KEPT))  # a constant is an offset, and what rests on it
     Y, U = np.fft.rfft(y, axis=0)[kept], np.fft.rfft(u, axis=0)[kept]
     return _Piece(np.asarray(omega[kept], dtype=float), Y, U, np.sqrt(len(y)) * sigma)
 
@@ -106,7 +106,7 @@ class _Fitting:
             damping = damping / 5 if better else damping * 8
             if better:
                 phi, fit = phi - step, tried
-            if damping > HOPELESS or (better and np.abs(step).max() < RESTS):
+            if damping > HOPELESS or (better and np.abs(step).max() < RESTS_SHARE):
                 break
         return fit.cost, phi
 

@@ -27,7 +27,7 @@ SMOOTH = 2
 MOST_BINS = 300
 ROUGH, CERTAIN = 0.1, 0.5
 """Relative errors of a response: what short stretches smear at least, and beyond which a bin says nothing."""
-GUESSES, STEPS, SEED = 32, 30, 17
+GUESSES, ROUNDS_OF_A_GUESS, SEED = 32, 30, 17
 DAMPED, VAGUE = 0.05, 3.0
 """Damping ratio of a guess, and the sd of logarithms about them: what no bin shows stays among these."""
 MOST_MINIMA, ALIKE = 6, 0.2
@@ -147,7 +147,7 @@ def fitted(model: MassSpringDamper, seen: Responses) -> list[FloatArray]:
     seen, middle = _connected(graph, seen, phi), phi.mean(axis=0)
     cost, J, r = _errors(graph, seen, phi, middle)
     damping = np.full(len(phi), 1e-2)
-    for _ in range(STEPS):
+    for _ in range(ROUNDS_OF_A_GUESS):
         A, g = np.einsum("sqn,skn->sqk", J, J), np.einsum("sqn,sn->sq", J, r)
         diagonal = np.einsum("sqq->sq", A)
         A = A + (damping[:, None] * diagonal + 1e-9 * diagonal.max(axis=1, keepdims=True))[

@@ -95,14 +95,10 @@ class Lineariser:
 
     def _at(self, theta: FloatArray, known: Knowledge, kept: int) -> Response:
         """The response at a point; the last one is kept."""
-        log_mass, delays = known.eta[: self.rig.masses], delays_of(self.rig, known.eta)
+        log_mass = known.eta[: self.rig.masses]
+        delays = delays_of(self.rig, known.eta)
         old = self._response
-        same = (
-            old is not None and old.bins.kept == kept
-            and np.array_equal(old.at.theta, theta) and np.array_equal(old.at.log_mass, log_mass)
-            and (delays is None or (old.at.delays is not None and np.array_equal(old.at.delays, delays)))
-        )  # fmt: skip
-        if old is None or not same:
+        if old is None or old.bins.kept != kept or not old.at.is_at(theta, log_mass, delays):
             old = Response(sampled(self.rig, theta, log_mass, delays), bins_of(self.window, kept))
             self._response, self._cells = old, None
         return old

@@ -147,6 +147,12 @@ class Sampled:
         """Number of states."""
         return len(self.A)
 
+    def is_at(self, theta: FloatArray, log_mass: FloatArray, delays: FloatArray | None) -> bool:
+        """Tell whether a point is the one at which this is the model; of one rig, delays are there or not."""
+        is_late_alike = self.delays is None or delays is None or np.array_equal(self.delays, delays)
+        is_same = np.array_equal(self.theta, theta) and np.array_equal(self.log_mass, log_mass)
+        return is_same and is_late_alike
+
 
 def unit_of(rig: Rig, theta: FloatArray) -> FloatArray:
     """Return each parameter's unit of deviation at theta (q,): its size, or a tenth of its nominal one."""

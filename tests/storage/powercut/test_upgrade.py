@@ -146,12 +146,13 @@ def looked_at(path: Path) -> int:
     return version
 
 
-def test_first_start_loads_no_pandas_though_it_is_installed(memory: Path) -> None:
+def test_first_start_loads_neither_the_library_of_the_migrations_nor_pandas(memory: Path) -> None:
     code = (
         "import sys; from agent.storage.write.store import Store; Store.open(sys.argv[1]); "
         "print(sorted(sys.modules))"
     )
     command = [sys.executable, "-c", code, memory / "rig.db"]
     done = subprocess.run(command, cwd=peers.ROOT, capture_output=True, text=True, check=True)
-    assert "'sqlite_utils'" in done.stdout
+    assert "'sqlite3'" in done.stdout
+    assert "'sqlite_utils'" not in done.stdout
     assert "'pandas'" not in done.stdout

@@ -58,6 +58,7 @@ class OperatingPoint:
         unsure: variance of log σ that the misfit allows for.
         scatter: largest factor by which jump statistics are divided.
         slopes: inputs are followed by their slopes.
+        samples: length of the windows that were learnt from.
     """
 
     model: StateSpace
@@ -71,6 +72,7 @@ class OperatingPoint:
     unsure: float
     scatter: float
     slopes: bool
+    samples: int
 
 
 def operating_point(
@@ -100,7 +102,7 @@ def operating_point(
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
         model, push, learnt, known.theta, at.unit, sharpest / at.unit, wider, shape,
-        known.noise.unsure, max(1.0, float(known.scatter.within.max())), at.late is not None,
+        known.noise.unsure, max(1.0, float(known.scatter.within.max())), at.late is not None, window,
     )  # fmt: skip
 
 

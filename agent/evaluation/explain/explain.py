@@ -55,13 +55,13 @@ def explain(db: Path, alarm_id: int) -> Explained:
 
 
 def _record(rows: Sequence[Row], alarm: Row, raised_ns: int) -> Row | None:
-    """Return the record that holds an alarm; the one that it began, if there is one."""
+    """Return the record that holds an alarm: the one that it began, else the one with most before it."""
     own = [
         row
         for row in rows
         if row["run_id"] == alarm["run_id"] and row["from_ns"] <= raised_ns <= row["to_ns"]
     ]
-    return next((row for row in own if row["alarm_id"] == alarm["id"]), own[-1] if own else None)
+    return next((row for row in own if row["alarm_id"] == alarm["id"]), own[0] if own else None)
 
 
 def _unusable(db: Path, record: Row | None) -> str | None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.cli.terminal.output import print_table, show
+from agent.cli.terminal.pictures import save_picture
 from agent.errors import UsageError
 from agent.evaluation.compare.trial import Estimates
 from agent.text import number, with_sd
@@ -62,11 +63,7 @@ def draw(document: Document, rows: Mapping[str, Estimates], path: Path) -> None:
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].legend(frameon=False, ncols=3)
     axes[-1].set_xlabel("sample")
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        advice = "name a .png, .svg or .pdf in a folder there is"
-        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
+    save_picture(figure, path)
 
 
 def _draw_parameter(axis: Any, rows: Mapping[str, Estimates], column: int, samples: int) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from agent.cli.terminal.errors import USAGE
 from agent.cli.terminal.output import print_faults, print_table, show
+from agent.cli.terminal.pictures import save_picture
 from agent.commissioning.explained import Explained
 from agent.errors import Fault, UsageError
 from agent.text import interval, number, percent, with_sd
@@ -96,8 +97,4 @@ def draw(document: Document, seen: Explained, path: Path) -> None:
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].legend(frameon=False)
     axes[-1].set_xlabel("sample")
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        advice = "name a .png, .svg or .pdf in a folder there is"
-        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
+    save_picture(figure, path)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.cli.terminal.output import print_table, show
+from agent.cli.terminal.pictures import save_picture
 from agent.errors import UsageError
 from agent.evaluation.explain.explain import Explained
 from agent.evaluation.explain.explain import explain as explained
@@ -53,11 +54,7 @@ def draw(found: Explained, path: Path) -> None:
         axes.axvline(0.0, color="black", lw=0.8)
         axes.spines[["top", "right"]].set_visible(False)
     lower.set_xlabel("seconds from the alarm")
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        advice = "name a .png, .svg or .pdf in a folder there is"
-        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
+    save_picture(figure, path)
 
 
 def _draw_samples(axes: Any, found: Explained, zero: int) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.cli.prognosis.words import time_unit
+from agent.cli.terminal.pictures import save_picture
 from agent.errors import UsageError
 from agent.text import short_time
 
@@ -28,11 +29,7 @@ def draw(found: Document, path: Path, past: Sequence[Document] = ()) -> None:
         _draw_points(axes, found)
         _draw_past(axes, found, past)
         axes.legend(frameon=False)
-    try:
-        figure.savefig(path, dpi=130)
-    except (OSError, ValueError) as error:
-        advice = "name a .png, .svg or .pdf in a folder there is"
-        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error
+    save_picture(figure, path)
 
 
 def _draw_points(axes: Any, found: Document) -> None:

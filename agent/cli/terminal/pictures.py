@@ -1,0 +1,15 @@
+"""Pictures that commands draw to a file."""
+
+from pathlib import Path
+from typing import Any
+
+from agent.errors import UsageError
+
+
+def save_picture(figure: Any, path: Path) -> None:
+    """Write a figure of matplotlib, in the form that the file's name ends with. Raises UsageError."""
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        advice = "name a .png, .svg or .pdf in a folder there is"
+        raise UsageError.at("--plot", f"cannot write {path}: {error}", advice) from error

@@ -147,16 +147,16 @@ def agent(configs: list[str], folder: Path) -> None:
 
 
 def _measured_stages() -> Counter[str]:
-    """Have every stage of the pipeline note the processor time of its thread."""
+    """Have every stage of the pipeline note the processor time of its thread, ns."""
     spent: Counter[str] = Counter()
 
     def noted(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
         def step(*args: Any, **named: Any) -> Any:
-            begun = time.thread_time()
+            begun = time.thread_time_ns()
             try:
                 return method(*args, **named)
             finally:
-                spent[name] += time.thread_time() - begun
+                spent[name] += time.thread_time_ns() - begun
 
         return step
 
@@ -172,8 +172,8 @@ def _watch(service: Service, main: int, spent: Counter[str], found: dict[str, An
     time.sleep(MEASURED_S)
     seconds = time.monotonic() - begun
     found["pace"] = (_received(service) - came) / (RATE_HZ * seconds * len(service.rigs))
-    cost = {name: spend / seconds for name, spend in (_threads(main) - before).items()}
-    inner = {name: spend / seconds for name, spend in (spent - stages).items()}
+    cost = {name: spend / 1e9 / seconds for name, spend in (_threads(main) - before).items()}
+    inner = {name: spend / 1e9 / seconds for name, spend in (spent - stages).items()}
     cost["hand over"] = max(0.0, cost.pop("main", 0.0) - sum(inner.values()))
     found["cost"] = cost | inner
     found["lag_s"] = max(_waited_s(connection) for connection in service.connections)
@@ -193,7 +193,7 @@ def _waited_s(connection: Connection) -> float:
 
 
 def _threads(main: int) -> Counter[str]:
-    """Return the processor seconds of this process's threads: read, main, and the others together."""
+    """Return the processor time of this process's threads, ns: read, main, and the others together."""
     names = {thread.native_id: thread.name for thread in threading.enumerate()}
     spent: Counter[str] = Counter()
     for task in Path("/proc/self/task").iterdir():
@@ -206,7 +206,7 @@ def _threads(main: int) -> Counter[str]:
             if name.startswith("read ")
             else "store and others"
         )
-        spent[kind] += (int(fields[11]) + int(fields[12])) / TICKS
+        spent[kind] += (int(fields[11]) + int(fields[12])) * 10**9 // TICKS
     return spent
 
 

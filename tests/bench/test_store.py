@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -89,8 +90,7 @@ def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
 
 def trend(path: Path, since: str) -> dict[str, object]:
     """Return what `deltak trend --json` prints."""
-    found = queries.points(path, None, "k1", since=since)
-    return commands_trend._document(found, commands_trend.window_s(path, "k1"), None, commands_trend.Ahead())
+    return commands_trend.document(path, "k1", None, (since, None), None)
 
 
 def flat_copy(path: Path) -> Path:
@@ -124,9 +124,9 @@ def test_rig_year_is_small_and_its_trend_quicker_than_pandas(tmp_path: Path) -> 
     year(path)
     size = path.stat().st_size / 1e6
     flat = flat_copy(path)
-    took = {s: (best_ms(lambda s=s: trend(path, s)), trend(path, s)["n"]) for s in ("1d", "30d", "365d")}
+    took = {s: (best_ms(partial(trend, path, s)), trend(path, s)["n"]) for s in ("1d", "30d", "365d")}
     ours = ", ".join(f"{since}: {n} points in {ms:.0f} ms" for since, (ms, n) in took.items())
-    view, table = (best_ms(lambda p=p, t=t: trend_by_pandas(p, t), 2)
+    view, table = (best_ms(partial(trend_by_pandas, p, t), 2)
                    for p, t in ((path, "v_estimates"), (flat, "estimates")))  # fmt: skip
     say(f"rig-year of 4 parameters, all tiers: {size:.0f} MB (at most 210)")
     say(f"trend: {ours} (365d at most 100 ms); a line by pandas over the year's rows: "
@@ -158,7 +158,7 @@ def test_bytes_written_to_disk_in_a_day_at_defaults(tmp_path: Path) -> None:
         sys.executable,
         "-m",
         "tests.storage.powercut.workload",
-        work / "rig.db",
+        str(work / "rig.db"),
         "defaults",
         str(seconds),
         "FULL",
@@ -179,9 +179,8 @@ def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
     path = tmp_path / "rig.db"
     year(path)
     found = queries.points(path, None, "k1")
-    window = commands_trend.window_s(path, "k1")
-    asked = best_ms(lambda: commands_trend._document(found, window, None, commands_trend.Ahead()))
-    ahead = best_ms(lambda: commands_trend._document(found, window, 20.0, commands_trend.Ahead()))
+    asked = best_ms(lambda: commands_trend.document(path, "k1", None, (None, None), None))
+    ahead = best_ms(lambda: commands_trend.document(path, "k1", None, (None, None), 20.0))
     daily = found.value[:: len(found.value) // 365]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # whether the rival converges is its own affair

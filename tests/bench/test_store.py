@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from agent.cli.prognosis import trend as commands_trend
-from agent.storage.read import queries
+from agent.storage.read.points import points_of
 from agent.storage.tables.rows import Plan
 from agent.storage.write.retention import Retention
 from agent.storage.write.rollups import HOUR, MINUTE, Groups, add_groups
@@ -178,7 +178,7 @@ def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
 
     path = tmp_path / "rig.db"
     year(path)
-    found = queries.points(path, None, "k1")
+    found = points_of(path, None, "k1")
     asked = best_ms(lambda: commands_trend.document(path, "k1", None, (None, None), None))
     ahead = best_ms(lambda: commands_trend.document(path, "k1", None, (None, None), 20.0))
     daily = found.value[:: len(found.value) // 365]

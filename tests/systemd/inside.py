@@ -5,6 +5,7 @@ A plain script with the standard library alone: test_systemd.py asserts what it 
 
 import grp
 import http.client
+import importlib.util
 import json
 import os
 import pwd
@@ -14,13 +15,14 @@ import sqlite3
 import struct
 import subprocess
 import sys
-import sysconfig
 import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
+PACKAGES = Path(str(importlib.util.find_spec("numpy").origin)).parents[1]
+"""Where this interpreter finds what the agent imports, which an environment may share with others."""
 DB = Path("/var/lib/deltak/deltak.db")
 CONFIGS = Path("/etc/deltak/conf.d")
 HANG = Path("/run/deltak-hang")
@@ -140,7 +142,7 @@ def install() -> None:
     shutil.copy(ROOT / "deploy/systemd/deltak.tmpfiles", "/usr/lib/tmpfiles.d/deltak.conf")
     subprocess.run(["systemd-sysusers", "deltak.conf"], check=True)
     subprocess.run(["systemd-tmpfiles", "--create", "deltak.conf"], check=True)
-    places = {"python": sys.base_prefix, "project": ROOT, "packages": sysconfig.get_path("purelib"),
+    places = {"python": sys.base_prefix, "project": ROOT, "packages": PACKAGES,
               "hanging": HERE / "hanging"}  # fmt: skip
     for name, source in places.items():
         target = Path("/opt", name)

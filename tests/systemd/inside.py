@@ -16,8 +16,8 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
@@ -96,6 +96,8 @@ DROP_IN = """
 WatchdogSec={watchdog}
 RestartSec={pause}
 """
+OWN = ""
+"""What a script's agent is run with instead."""
 TOKEN = "a token of the page in a guest"
 PAGE = """
 RuntimeDirectory=deltak-page
@@ -154,7 +156,7 @@ def install() -> None:
     command.write_text(f'#!/bin/sh\nexec /opt/python/bin/{version} -m agent "$@"\n')
     command.chmod(0o755)
     watched = DROP_IN.format(watchdog=WATCHDOG_S, pause=0.2 if WHOLE else 300)
-    own = {"deltak": watched, "deltak-page": PAGE, "deltak-opcua": ""}
+    own = {"deltak": OWN or watched, "deltak-page": PAGE, "deltak-opcua": ""}
     for name, text in own.items():
         drop_in = Path(f"/etc/systemd/system/{name}.service.d/test.conf")
         drop_in.parent.mkdir()
@@ -292,6 +294,7 @@ def live(found: dict[str, object]) -> None:
 
     HANG.touch()
     found["killed_s"] = until(ended_by_watchdog, "an end by the watchdog")
+    until(lambda: not shown("SubState").startswith(("stop", "final")), "an end of all its processes")
     found["after hang"] = shown("SubState")
     found["log"] = Path("/run/deltak.log").read_text()
     if WHOLE:
@@ -306,18 +309,28 @@ def live(found: dict[str, object]) -> None:
     found["after stop"] = shown("ActiveState")
 
 
+@contextmanager
+def playing() -> Iterator[None]:
+    """Have the three devices there."""
+    number = str(grp.getgrnam("dialout").gr_gid)
+    command = [sys.executable, HERE / "player.py", "vcan0", "/run/deltak-line", number]
+    with subprocess.Popen(command) as player:
+        try:
+            yield
+        finally:
+            player.kill()
+
+
 def main(results: Path) -> None:
     install()
     systemctl("daemon-reload")
-    number = str(grp.getgrnam("dialout").gr_gid)
-    player = subprocess.Popen([sys.executable, HERE / "player.py", "vcan0", "/run/deltak-line", number])
     found: dict[str, object] = {"watchdog_s": WATCHDOG_S}
-    try:
-        live(found)
-    finally:
-        sys.stdout.write(f"{found}\n")
-        player.kill()
-        (results / "found.json").write_text(json.dumps(found))
+    with playing():
+        try:
+            live(found)
+        finally:
+            sys.stdout.write(f"{found}\n")
+            (results / "found.json").write_text(json.dumps(found))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Final
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from agent.config.draft import Draft
 from agent.config.north.tables import North
@@ -98,8 +98,9 @@ def _address_faults(path: str, consumer: North) -> Iterator[Fault]:
     if found is None or found.scheme not in schemes:
         yield Fault(path, "is no address of this kind", f'write "{schemes[0]}://host"')
         return
-    holds_password = found.password is not None or "password" in found.query.lower()
-    if holds_password:
+    is_hidden = "@" in found.path or found.fragment != ""  # where libraries see a password and urlsplit none
+    keys = " ".join(key for key, _ in parse_qsl(found.query, keep_blank_values=True)).lower()
+    if found.password is not None or "password" in keys or is_hidden:
         yield Fault(path, "holds a password", 'name where it is: password = { file = "..." }')
     elif found.scheme == "mqtt" and consumer.ca is not None:
         yield Fault(path, "is without TLS, though a ca is named", 'write "mqtts://host"')

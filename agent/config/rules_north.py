@@ -98,12 +98,17 @@ def _address_faults(path: str, consumer: North) -> Iterator[Fault]:
     if found is None or found.scheme not in schemes:
         yield Fault(path, "is no address of this kind", f'write "{schemes[0]}://host"')
         return
-    is_hidden = "@" in found.path or found.fragment != ""  # where libraries see a password and urlsplit none
-    keys = " ".join(key for key, _ in parse_qsl(found.query, keep_blank_values=True)).lower()
-    if found.password is not None or "password" in keys or is_hidden:
+    if _holds_password(found):
         yield Fault(path, "holds a password", 'name where it is: password = { file = "..." }')
     elif found.scheme == "mqtt" and consumer.ca is not None:
         yield Fault(path, "is without TLS, though a ca is named", 'write "mqtts://host"')
+
+
+def _holds_password(address: SplitResult) -> bool:
+    """Tell whether there is a password in an address, also where only other libraries see one."""
+    keys = (key.lower() for key, _ in parse_qsl(address.query, keep_blank_values=True))
+    is_hidden = "@" in address.path + address.fragment
+    return address.password is not None or is_hidden or any("password" in key for key in keys)
 
 
 def _parted(url: str) -> SplitResult | None:

@@ -76,18 +76,20 @@ def _addresses(targets: Any) -> Iterator[str]:
 
 def _values(raw: Any, folder: Path) -> Iterator[str]:
     """Yield every secret at any depth: the text itself, or what its file, variable or credential holds."""
-    if isinstance(raw, list):
-        for item in raw:
-            yield from _values(item, folder)
-    if not isinstance(raw, dict):
-        return
-    for key, value in raw.items():
-        if isinstance(value, dict) and (is_secret(key) or key == "url"):
-            yield from _referred(value, folder)
-        elif is_secret(key):
-            yield str(value)
-        else:
-            yield from _values(value, folder)
+    for item in raw if isinstance(raw, list) else ():
+        yield from _values(item, folder)
+    for key, value in raw.items() if isinstance(raw, dict) else ():
+        yield from _value(key, value, folder)
+
+
+def _value(key: str, value: Any, folder: Path) -> Iterator[str]:
+    is_known = is_secret(key)
+    if isinstance(value, dict) and (is_known or key == "url"):
+        yield from _referred(value, folder)
+    elif is_known:
+        yield str(value)
+    else:
+        yield from _values(value, folder)
 
 
 def _referred(reference: dict[str, Any], folder: Path) -> Iterator[str]:

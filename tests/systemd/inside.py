@@ -282,6 +282,7 @@ def live(found: dict[str, object]) -> None:
     found["flows"] = flows()
     found["status"] = shown("StatusText")
     found["state"] = [shown("ActiveState"), shown("NRestarts"), shown("User"), shown("Type")]
+    found["limits"] = [shown("LimitCORE"), shown("LimitCORESoft"), shown("TasksMax")]
     found["reader"], found["commander"] = as_user(["deltak"]), as_user(["deltak", "deltak-command"])
 
     found["page"] = use_page()

@@ -12,6 +12,8 @@ fi
 
 lacking=""
 for package in $wanted; do
+    # a nodejs of others brings its own npm, beside which Debian's cannot be installed
+    if [ "$package" = npm ] && command -v npm >/dev/null; then continue; fi
     dpkg-query -W -f '${db:Status-Abbrev}' "$package" 2>/dev/null | grep -q '^ii' || lacking="$lacking $package"
 done
 if [ -n "$lacking" ]; then

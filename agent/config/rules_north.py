@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Final
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from agent.config.draft import Draft
 from agent.config.north.tables import North
@@ -98,11 +98,17 @@ def _address_faults(path: str, consumer: North) -> Iterator[Fault]:
     if found is None or found.scheme not in schemes:
         yield Fault(path, "is no address of this kind", f'write "{schemes[0]}://host"')
         return
-    holds_password = found.password is not None or "password" in found.query.lower()
-    if holds_password:
+    if _holds_password(found):
         yield Fault(path, "holds a password", 'name where it is: password = { file = "..." }')
     elif found.scheme == "mqtt" and consumer.ca is not None:
         yield Fault(path, "is without TLS, though a ca is named", 'write "mqtts://host"')
+
+
+def _holds_password(address: SplitResult) -> bool:
+    """Tell whether there is a password in an address, also where only other libraries see one."""
+    keys = (key.lower() for key, _ in parse_qsl(address.query, keep_blank_values=True))
+    is_hidden = "@" in address.path + address.fragment
+    return address.password is not None or is_hidden or any("password" in key for key in keys)
 
 
 def _parted(url: str) -> SplitResult | None:

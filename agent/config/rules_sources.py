@@ -151,7 +151,7 @@ def _target_faults(path: str, target: Notify) -> Iterator[Fault]:
     url = target.url
     is_address = not isinstance(url, str) or url.startswith(("http://", "https://"))
     if target.kind == "webhook" and not is_address:
-        yield Fault(join(path, "url"), f"{shown(str(url))} is no address", 'write "https://..."')
+        yield Fault(join(path, "url"), "is no address of this kind", 'write "https://..."')
 
 
 def _strange_keys(path: str, target: Notify) -> Iterator[Fault]:

@@ -5,6 +5,7 @@ the next attempt carries the same key.
 """
 
 import json
+import logging
 import os
 import signal
 import smtplib
@@ -17,7 +18,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from email.message import EmailMessage
 from email.utils import formatdate
-from http.client import HTTPException
+from http.client import HTTPException, InvalidURL
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -27,6 +28,8 @@ from agent.config.reading.secrets import Secret
 from agent.config.results.tables import Notify
 from agent.notification.message import Message
 
+_QUOTING: Final = ("apprise", "requests", "urllib3")
+"""Libraries whose logs quote addresses, and so the tokens in them, at any level."""
 _PORTS: Final = {"starttls": 587, "tls": 465, "none": 25}
 
 
@@ -44,7 +47,14 @@ def send(target: Notify, message: Message, folder: Path) -> None:
     except KeyError as error:
         raise SendError(f"the environment variable {error.args[0]} with the secret is not set") from error
     except (OSError, HTTPException, smtplib.SMTPException, ValueError) as error:
-        raise SendError(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__) from error
+        raise SendError(_words_of(error)) from None
+
+
+def _words_of(error: Exception) -> str:
+    """Return what went wrong; of what refuses an address or a header, which it quotes, not what was in it."""
+    is_quoting = isinstance(error, InvalidURL) or not isinstance(error, OSError | HTTPException)
+    words = "its url or its secret holds what none may" if is_quoting else str(error)
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
 
 
 def _secret(secret: Secret | str | None, folder: Path) -> str:
@@ -155,6 +165,8 @@ def _apprise(target: Notify, message: Message, folder: Path) -> None:
         from apprise import Apprise
     except ImportError as error:
         raise SendError('needs apprise: pip install "deltak[apprise]"') from error
+    for library in _QUOTING:
+        logging.getLogger(library).setLevel(logging.CRITICAL + 1)
     services = Apprise()
     if not services.add(_secret(target.url, folder)):
         raise SendError("its url is none that apprise knows")

@@ -209,14 +209,14 @@ class Service:
         """
         if self._reread is None:
             raise UsageError.at("reload", "this agent was not started from files", "start it by deltak run")
-        self._watch.manager.say(RELOADING=1, MONOTONIC_USEC=monotonic_ns() // 1000, STATUS="reloading")
-        try:
-            with self._reloading:
+        with self._reloading:  # one after the other, so that READY=1 comes when none is under way
+            self._watch.manager.say(RELOADING=1, MONOTONIC_USEC=monotonic_ns() // 1000, STATUS="reloading")
+            try:
                 return self._reloaded(self._reread())
-        except (AgentError, DriverConfigError, TimeoutError) as error:
-            return self._refused(error)
-        finally:
-            self._watch.manager.say(READY=1, STATUS=self.status.words())
+            except (AgentError, DriverConfigError, TimeoutError) as error:
+                return self._refused(error)
+            finally:
+                self._watch.manager.say(READY=1, STATUS=self.status.words())
 
     def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
         return self.take_up(self.prepare(configs))

@@ -8,9 +8,10 @@ import signal
 import socket
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from agent.northbound.forwarder import Forwarder
 from agent.storage.write.writer import StoreWriter
@@ -140,30 +141,75 @@ def line_to(port: int) -> Iterator[Line]:
         line.close()
 
 
+class Server:
+    """A server in processes of its own, which can be killed, frozen and started again on its port.
+
+    Args:
+        port: where it listens.
+        command, settings: how it is started; settings are those of Popen.
+    """
+
+    def __init__(self, port: int, command: Sequence[str | Path], **settings: Any) -> None:
+        self.port = port
+        self._command, self._settings = command, settings
+        self.start()
+
+    def start(self) -> None:
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
+        self._process = subprocess.Popen(self._command, **quiet, **self._settings)
+        wait_for_port(self.port)
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to all its processes, as systemd does to those of a unit."""
+        for process in [self._process.pid, *_children(self._process.pid)]:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, number)
+
+    def kill(self) -> None:
+        """End it as the kernel does that lacks memory."""
+        self.send(signal.SIGKILL)
+        self._process.wait()
+
+    def close(self, number: signal.Signals = signal.SIGKILL) -> None:
+        self.send(number)
+        self.send(signal.SIGCONT)
+        self._process.wait()
+
+
+def _children(parent: int) -> list[int]:
+    """Return the processes below one; those of PostgreSQL are each a session of its own."""
+    found = Path(f"/proc/{parent}/task/{parent}/children").read_text(encoding="ascii").split()
+    return [process for child in map(int, found) for process in (child, *_children(child))]
+
+
 @contextmanager
-def mosquitto(folder: Path, settings: str = "allow_anonymous true") -> Iterator[int]:
-    """Run a broker on loopback; settings: lines of its configuration."""
+def broker(folder: Path, settings: str = "allow_anonymous true") -> Iterator[Server]:
+    """Run mosquitto on loopback; settings: lines of its configuration."""
     path, port = program("mosquitto", "mosquitto"), free_port()
     file = folder / f"mosquitto-{port}.conf"
     file.write_text(
         f"user root\nlistener {port} 127.0.0.1\nmax_queued_messages 0\n{settings}\n", encoding="utf-8"
     )
-    with subprocess.Popen(
-        [path, "-c", str(file)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
-    ) as process:
-        try:
-            wait_for_port(port)
-            yield port
-        finally:
-            process.kill()
+    server = Server(port, [path, "-c", file])
+    try:
+        yield server
+    finally:
+        server.close()
 
 
 @contextmanager
-def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
-    """Run a database server on loopback, as nobody where the tests are root; its superuser is `deltak`."""
+def mosquitto(folder: Path, settings: str = "allow_anonymous true") -> Iterator[int]:
+    """As `broker`, of which only the port matters."""
+    with broker(folder, settings) as server:
+        yield server.port
+
+
+@contextmanager
+def database(folder: Path, password: str | None = None) -> Iterator[Server]:
+    """Run PostgreSQL on loopback, as nobody where the tests are root; its superuser is `deltak`."""
     places = ":".join(sorted(str(found) for found in Path("/usr/lib/postgresql").glob("*/bin")))
     os.environ["PATH"] = f"{os.environ['PATH']}:{places}"
-    initdb, server = program("initdb", "postgresql"), program("postgres", "postgresql")
+    initdb, postmaster = program("initdb", "postgresql"), program("postgres", "postgresql")
     port, home = free_port(), folder / "postgres"
     home.mkdir()
     folder.chmod(0o755)
@@ -176,16 +222,20 @@ def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
     way = "scram-sha-256" if password else "trust"
     subprocess.run([initdb, "-D", home / "data", "-U", "deltak", "-A", way, "--pwfile", word, "-N", "-E",
                     "UTF8"], check=True, capture_output=True, cwd=home, **user)  # fmt: skip
-    command = [server, "-D", home / "data", "-p", str(port), "-k", home, "-h", "127.0.0.1", "-F", "-c",
+    command = [postmaster, "-D", home / "data", "-p", str(port), "-k", home, "-h", "127.0.0.1", "-F", "-c",
                "shared_buffers=1MB", "-c", "logging_collector=off"]  # fmt: skip
-    with subprocess.Popen(
-        command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, cwd=home, **user
-    ) as process:
-        try:
-            wait_for_port(port)
-            yield port
-        finally:
-            process.send_signal(signal.SIGQUIT)
+    server = Server(port, command, cwd=home, **user)
+    try:
+        yield server
+    finally:
+        server.close(signal.SIGQUIT)
+
+
+@contextmanager
+def postgres(folder: Path, password: str | None = None) -> Iterator[int]:
+    """As `database`, of which only the port matters."""
+    with database(folder, password) as server:
+        yield server.port
 
 
 def wait_for_port(port: int, limit_s: float = 20) -> None:

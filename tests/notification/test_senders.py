@@ -66,6 +66,34 @@ def test_attempt_that_fails_says_why(target: Notify, words: str, tmp_path: Path)
         send(target, MESSAGE, tmp_path)
 
 
+PLANTED = "PLANTED-5ecret"
+
+
+@pytest.mark.filterwarnings("ignore:.imghdr.:DeprecationWarning")  # of what apprise imports
+@pytest.mark.parametrize(
+    ("kind", "url", "token"),
+    [
+        ("webhook", f"http://anna:{PLANTED}@127.0.0.1/", None),
+        ("webhook", f"http://127.0.0.1:1/a {PLANTED}", None),
+        ("webhook", f"http://127.0.0.1:1/{PLANTED}\nb", None),
+        ("webhook", "http://127.0.0.1:1/", f"{PLANTED}\nb"),
+        ("apprise", f"tgram://{PLANTED}/1", None),
+        ("apprise", PLANTED, None),
+    ],
+)
+def test_secret_that_makes_no_address_nor_header_is_said_to_nobody(
+    kind: Any, url: str, token: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("DEBUG")
+    secrets = {"url": url} | ({} if token is None else {"token": token})
+    for name, text in secrets.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    target = Notify(name="w", kind=kind, **{name: Secret(file=Path(name)) for name in secrets})
+    with pytest.raises(SendError) as error:
+        send(target, MESSAGE, tmp_path)
+    assert PLANTED not in str(error.value) + caplog.text
+
+
 def test_address_of_a_webhook_may_stand_in_a_file(tmp_path: Path) -> None:
     post = Post()
     with webhook(post) as url:
@@ -119,7 +147,7 @@ def test_target_is_read_from_the_configuration(tmp_path: Path) -> None:
     ("keys", "path", "words"),
     [
         ('kind = "command"', "notify[0].command", "is missing"),
-        ('kind = "webhook"\nurl = "ftp://x"', "notify[0].url", "is no address"),
+        ('kind = "webhook"\nurl = "ftp://anna:hush@x"', "notify[0].url", "is no address"),
         (
             'kind = "webhook"\nurl = "http://x"\ntoken = "abc"',
             "notify[0].token",

@@ -28,11 +28,18 @@ def _needs() -> None:
         peers.missing("wheel and sdist: the extra `package` is not installed")
 
 
-def built(folder: Path, umask: int) -> source.Built:
+@pytest.fixture(scope="module")
+def commit() -> str:
+    """The commit that all is built of, whatever is committed meanwhile."""
+    asked = ["git", "-C", str(peers.ROOT), "rev-parse", "HEAD"]
+    return subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def built(folder: Path, umask: int, commit: str) -> source.Built:
     before = os.umask(umask)
     try:
-        epoch = source.epoch_of()
-        tree = source.clean_tree(folder / "tree")
+        epoch = source.epoch_of(commit=commit)
+        tree = source.clean_tree(folder / "tree", commit=commit)
         (tree / "agent" / "__pycache__").mkdir()
         (tree / "agent" / "__pycache__" / "junk.pyc").touch()
         return source.build(tree, folder / "dist", epoch)
@@ -41,10 +48,9 @@ def built(folder: Path, umask: int) -> source.Built:
 
 
 @pytest.fixture(scope="module")
-def twice(tmp_path_factory: pytest.TempPathFactory) -> list[source.Built]:
-    return [
-        built(tmp_path_factory.mktemp(name), umask) for name, umask in (("first", 0o022), ("second", 0o077))
-    ]
+def twice(tmp_path_factory: pytest.TempPathFactory, commit: str) -> list[source.Built]:
+    umasks = {"first": 0o022, "second": 0o077}
+    return [built(tmp_path_factory.mktemp(name), umask, commit) for name, umask in umasks.items()]
 
 
 def digest(file: Path) -> str:
@@ -59,8 +65,8 @@ def test_two_builds_of_one_commit_are_the_same_bytes(twice: list[source.Built]) 
     figures.figure(f"wheel {wheel} bytes, sdist {sdist} bytes, built twice: the same")
 
 
-def test_sdist_gives_the_same_wheel(twice: list[source.Built], tmp_path: Path) -> None:
-    again = source.wheel_of(twice[0].sdist, tmp_path, source.epoch_of())
+def test_sdist_gives_the_same_wheel(twice: list[source.Built], tmp_path: Path, commit: str) -> None:
+    again = source.wheel_of(twice[0].sdist, tmp_path, source.epoch_of(commit=commit))
     assert digest(again) == digest(twice[0].wheel)
 
 

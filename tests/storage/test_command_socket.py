@@ -15,6 +15,9 @@ from agent.storage.database.files import beside
 from agent.storage.write import command_socket
 from agent.storage.write.command_socket import CommandServer, ask
 
+RIGS = [{"rig": f"press-{number}", "sources": ["x" * 300]} for number in range(2000)]
+"""More than any agent has."""
+
 
 def twice(asked: Mapping[str, Any]) -> Mapping[str, Any]:
     return {"answer": 2 * asked["number"]}
@@ -27,7 +30,7 @@ def refuse(asked: Mapping[str, Any]) -> Mapping[str, Any]:
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Path]:
     path = tmp_path / "rig.db"
-    made = CommandServer(path, {"twice": twice, "refuse": refuse})
+    made = CommandServer(path, {"twice": twice, "refuse": refuse, "many": lambda _: {"rigs": RIGS}})
     made.start()
     yield path
     made.stop()
@@ -39,11 +42,16 @@ def test_ask_returns_what_the_agent_answers(server: Path) -> None:
     assert ask(server, "ping")["pid"] > 0
 
 
+def test_status_of_hundreds_of_rigs_arrives_whole(server: Path) -> None:
+    assert ask(server, "many") == {"rigs": RIGS}
+    assert ask(server, "many", brief=True) == {"rigs": RIGS}
+
+
 @pytest.mark.parametrize(
     ("command", "arguments", "words"),
     [
         ("refuse", {}, "alarm 7: there is no such alarm; see deltak alarms"),
-        ("nothing", {}, "not a command; commands are ping, refuse, twice"),
+        ("nothing", {}, "not a command; commands are many, ping, refuse, twice"),
         ("twice", {}, "KeyError"),
     ],
 )

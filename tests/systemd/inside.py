@@ -5,6 +5,7 @@ A plain script with the standard library alone: test_systemd.py asserts what it 
 
 import grp
 import http.client
+import importlib.util
 import json
 import os
 import pwd
@@ -14,13 +15,14 @@ import sqlite3
 import struct
 import subprocess
 import sys
-import sysconfig
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
+PACKAGES = Path(str(importlib.util.find_spec("numpy").origin)).parents[1]
+"""Where this interpreter finds what the agent imports, which an environment may share with others."""
 DB = Path("/var/lib/deltak/deltak.db")
 CONFIGS = Path("/etc/deltak/conf.d")
 HANG = Path("/run/deltak-hang")
@@ -94,6 +96,8 @@ DROP_IN = """
 WatchdogSec={watchdog}
 RestartSec={pause}
 """
+OWN = ""
+"""What a script's agent is run with instead."""
 TOKEN = "a token of the page in a guest"
 PAGE = """
 RuntimeDirectory=deltak-page
@@ -140,7 +144,7 @@ def install() -> None:
     shutil.copy(ROOT / "deploy/systemd/deltak.tmpfiles", "/usr/lib/tmpfiles.d/deltak.conf")
     subprocess.run(["systemd-sysusers", "deltak.conf"], check=True)
     subprocess.run(["systemd-tmpfiles", "--create", "deltak.conf"], check=True)
-    places = {"python": sys.base_prefix, "project": ROOT, "packages": sysconfig.get_path("purelib"),
+    places = {"python": sys.base_prefix, "project": ROOT, "packages": PACKAGES,
               "hanging": HERE / "hanging"}  # fmt: skip
     for name, source in places.items():
         target = Path("/opt", name)
@@ -152,7 +156,7 @@ def install() -> None:
     command.write_text(f'#!/bin/sh\nexec /opt/python/bin/{version} -m agent "$@"\n')
     command.chmod(0o755)
     watched = DROP_IN.format(watchdog=WATCHDOG_S, pause=0.2 if WHOLE else 300)
-    own = {"deltak": watched, "deltak-page": PAGE, "deltak-opcua": ""}
+    own = {"deltak": OWN or watched, "deltak-page": PAGE, "deltak-opcua": ""}
     for name, text in own.items():
         drop_in = Path(f"/etc/systemd/system/{name}.service.d/test.conf")
         drop_in.parent.mkdir()
@@ -278,6 +282,7 @@ def live(found: dict[str, object]) -> None:
     found["flows"] = flows()
     found["status"] = shown("StatusText")
     found["state"] = [shown("ActiveState"), shown("NRestarts"), shown("User"), shown("Type")]
+    found["limits"] = [shown("LimitCORE"), shown("LimitCORESoft"), shown("TasksMax")]
     found["reader"], found["commander"] = as_user(["deltak"]), as_user(["deltak", "deltak-command"])
 
     found["page"] = use_page()
@@ -290,6 +295,7 @@ def live(found: dict[str, object]) -> None:
 
     HANG.touch()
     found["killed_s"] = until(ended_by_watchdog, "an end by the watchdog")
+    until(lambda: not shown("SubState").startswith(("stop", "final")), "an end of all its processes")
     found["after hang"] = shown("SubState")
     found["log"] = Path("/run/deltak.log").read_text()
     if WHOLE:
@@ -304,18 +310,28 @@ def live(found: dict[str, object]) -> None:
     found["after stop"] = shown("ActiveState")
 
 
+@contextmanager
+def playing() -> Iterator[None]:
+    """Have the three devices there."""
+    number = str(grp.getgrnam("dialout").gr_gid)
+    command = [sys.executable, HERE / "player.py", "vcan0", "/run/deltak-line", number]
+    with subprocess.Popen(command) as player:
+        try:
+            yield
+        finally:
+            player.kill()
+
+
 def main(results: Path) -> None:
     install()
     systemctl("daemon-reload")
-    number = str(grp.getgrnam("dialout").gr_gid)
-    player = subprocess.Popen([sys.executable, HERE / "player.py", "vcan0", "/run/deltak-line", number])
     found: dict[str, object] = {"watchdog_s": WATCHDOG_S}
-    try:
-        live(found)
-    finally:
-        sys.stdout.write(f"{found}\n")
-        player.kill()
-        (results / "found.json").write_text(json.dumps(found))
+    with playing():
+        try:
+            live(found)
+        finally:
+            sys.stdout.write(f"{found}\n")
+            (results / "found.json").write_text(json.dumps(found))
 
 
 if __name__ == "__main__":

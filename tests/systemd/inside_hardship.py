@@ -99,15 +99,12 @@ def main(results: Path) -> None:
     inside.WATCHDOG_S = WATCHDOG_S
     inside.install()
     systemctl("daemon-reload")
-    number = str(inside.grp.getgrnam("dialout").gr_gid)
-    player = [sys.executable, inside.HERE / "player.py", "vcan0", "/run/deltak-line", number]
     found: dict[str, object] = {"watchdog_s": WATCHDOG_S}
-    with subprocess.Popen(player) as playing:
+    with inside.playing():
         try:
             live(results, found)
         finally:
             sys.stdout.write(f"{found}\n")
-            playing.kill()
             (results / "found.json").write_text(json.dumps(found))
 
 

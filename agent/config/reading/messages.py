@@ -50,6 +50,8 @@ _ADVICE: Final[Mapping[str, str]] = {
     "model_type": "write it in braces or under a [heading] of its own",
     "model_attributes_type": "write it in braces or under a [heading] of its own",
 }
+_FOLLOWING: Final = "default_factory_not_called"
+"""Pydantic's word for a default that rests on a key with a fault of its own, which is told anyway."""
 _NAME_RULE: Final = 'names are a letter and then at most 63 letters, digits, "_", "." or "-"'
 
 
@@ -94,6 +96,8 @@ def faults_of(error: ValidationError, path: str, raw: object, known: Sequence[st
     """
     found: dict[str, Fault] = {}
     for detail in error.errors(include_url=False):
+        if detail["type"] == _FOLLOWING:
+            continue
         where = join(path, *_within(raw, detail))
         found.setdefault(where, _fault(where, detail, known))
     return list(found.values())

@@ -2,11 +2,9 @@
 
 import os
 import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from agent.clock import monotonic_ns
@@ -15,6 +13,7 @@ from agent.errors import ConfigError, Fault
 from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.process.databases import RunKind
 from agent.runtime.process.memory import keep_heap_small
+from agent.runtime.process.requests import Request
 from agent.runtime.service import Reread, Service
 from agent.runtime.workers.spread import wanted_workers
 from drivers.port import DriverConfigError
@@ -61,15 +60,16 @@ def _service(configs: Sequence[RigConfig], db: Path | None, kind: RunKind, rerea
 @contextmanager
 def _handled(service: Service) -> Iterator[None]:
     """Have SIGTERM end a service and SIGHUP reload its configuration; a closed terminal still ends it."""
-    wanted: dict[signal.Signals, Callable[[], object]] = {signal.SIGTERM: service.stop}
+    wanted = {signal.SIGTERM: Request(service.stop, "stop")}
     if not os.isatty(0):
-        wanted[signal.SIGHUP] = service.reload
-    previous = {number: signal.signal(number, _caller(act)) for number, act in wanted.items()}
+        wanted[signal.SIGHUP] = Request(service.reload, "reload")
+    previous = {number: signal.signal(number, request) for number, request in wanted.items()}
     try:
         yield
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+            wanted[number].end()
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:
@@ -85,12 +85,3 @@ def _need_sources(rigs: Sequence[RigConfig]) -> None:
                 )
     if faults:
         raise ConfigError(faults)
-
-
-def _caller(act: Callable[[], object]) -> Callable[[int, FrameType | None], None]:
-    """Return a signal handler. It interrupts the thread that may hold the very lock that acting takes."""
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        threading.Thread(target=act, name=getattr(act, "__name__", "signal"), daemon=True).start()
-
-    return handle

@@ -27,7 +27,8 @@ from agent.storage.database.files import beside
 
 GROUP = "deltak-command"
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-_LONGEST = 65536  # bytes of a line
+_LONGEST = 65536  # bytes of a line that is asked
+_LONGEST_ANSWER = 1 << 26  # a status is 350 bytes a rig, a log 500 lines
 _PATIENCE_S = 5.0
 _LIFE_SIGN_S = 1.0
 _MOST_CALLERS = 16  # whose line is not complete; of more the one that has waited longest is cut off
@@ -244,18 +245,18 @@ class _short_name:  # noqa: N801 - used like a function
 
 
 def _read_line(peer: socket.socket, until: float | None = None) -> bytes:
-    line = b""
-    while not line.endswith(b"\n") and len(line) <= _LONGEST:
+    line = bytearray()
+    while not line.endswith(b"\n") and len(line) <= _LONGEST_ANSWER:
         if until is not None:
             left = until - time.monotonic()
             if left <= 0:
                 raise TimeoutError
             peer.settimeout(left)
-        more = peer.recv(4096)
+        more = peer.recv(65536)
         if not more:
             break
         line += more
-    return line
+    return bytes(line)
 
 
 def _last_line(peer: socket.socket, until: float | None) -> bytes:

@@ -52,17 +52,26 @@ def test_database_without_recordings_has_no_samples(tmp_path: Path) -> None:
     'password = "planted-1"', "password = 'planted-1'", 'x = { password = "planted-1", y = 2 }',
     '{"api_key": "planted-1"}', "mqtt_token: planted-1", "broker = mqtt://anna:planted-1@broker:1883",
     'secret = """\nplanted-1\n"""', "the broker refused planted-2", "env had planted-3",
-    "a wrong planted-4 in a log",
+    "a wrong planted-4 in a log", "passwort = 'planted-1'", "pwd: planted-1", "at mqtt://planted-1@broker",
+    "at redis://:planted-1@broker", "at mqtt://anna:a@planted-1@broker", "at mqtt://anna:a/planted-1@broker",
+    "curl -H 'Authorization: Bearer planted-1'", "-----BEGIN EC PRIVATE KEY-----\nplanted-1\n",
+    "at https://hooks.example.org/services/T0/planted-5",
+    'in JSON: planted\\"-6', "in an address: planted%22-6", "a credential: planted-7",
 ])  # fmt: skip
 def test_no_secret_is_left_however_it_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
 ) -> None:
     (tmp_path / "key").write_text("planted-2\n")
     monkeypatch.setenv("BROKER_PASSWORD", "planted-3")
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    (tmp_path / "handed-over").write_text("planted-7\n")
+    (tmp_path / "quoted").write_text('planted"-6')
     config = tmp_path / "rig.toml"
     config.write_text(
         '[mqtt]\npassword = { file = "key" }\n[[north]]\n'
         'token = { env = "BROKER_PASSWORD" }\nsecret = "planted-4"\n'
+        '[[north]]\npassword = { credential = "handed-over" }\n[[north]]\npassword = { file = "quoted" }\n'
+        '[[notify]]\nurl = "https://hooks.example.org/services/T0/planted-5"\n'
     )
     cleaned = Redaction([config, tmp_path / "gone.toml"]).cleaned(text.encode()).decode()
     assert "planted" not in cleaned

@@ -31,6 +31,8 @@ def test_parquet_archive_needs_a_folder_only() -> None:
         ('kind = "parquet"', "north[0].folder", "is missing"),
         ('kind = "mqtt"\nurl = "mqtt://user:hush@broker"', "north[0].url", "holds a password"),
         ('kind = "postgres"\nurl = "postgresql://db/x?password=hush"', "north[0].url", "holds a password"),
+        ('kind = "postgres"\nurl = "postgresql://db/x?passw%6Frd=hush"', "north[0].url", "holds a password"),
+        ('kind = "postgres"\nurl = "postgresql://u:#hush@db/x"', "north[0].url", "holds a password"),
         ('kind = "mqtt"\nurl = "http://broker"', "north[0].url", "no address of this kind"),
         ('kind = "mqtt"\nurl = "mqtt://broker"\nca = "ca.pem"', "north[0].url", "without TLS"),
         ('kind = "mqtt"\nurl = "mqtt://broker"\npassword = "hush"', "north[0].password", "must not stand"),

@@ -87,3 +87,10 @@ def test_every_field_that_is_not_there_is_said(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG + TEXT + 'map = { force = "G", x1 = "H" }', encoding="utf-8")
     assert [fault.path for fault in faults_of("check", rig)] == ["source[0].map.force", "source[0].map.x1"]
+
+
+def test_keys_that_are_missing_are_said_and_nothing_that_follows_from_it(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG + '[[source]]\ndriver = "modbus"\ntransport = "tcp"\nhost = "h"\n', encoding="utf-8")
+    said = {fault.path: fault.message for fault in faults_of("check", rig)}
+    assert said == dict.fromkeys(("source[0].map", "source[0].mode", "source[0].fields"), "is missing")

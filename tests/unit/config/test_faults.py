@@ -1,7 +1,10 @@
 """Every rule of CONTRACT section 3: what is changed in a right file, where the fault is, what it says."""
 
+import re
+
 import pytest
 
+from agent.config.load import TABLES
 from tests.unit.config.config_texts import MINIMAL, MOTOR, PRESS, changed, faults, with_fake_driver
 
 
@@ -349,3 +352,12 @@ def test_config_limit_that_is_a_share_of_nothing_is_refused(
     text = changed(PRESS, ("limit = 15.0", "limit_percent = 10"), ("deadband = 1.5\n", ""), *changes)
     words = f'a share of the nominal of "{name}", which is 0; give limit in the parameter\'s unit'
     assert words in faults(text)["alarm[0].limit_percent"]
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_config_something_else_in_place_of_a_table_is_one_fault_of_that_table(table: str) -> None:
+    headers = rf"\[\[?{table}\]\]?\n(?:[^\[].*\n|\n)*"
+    text = f"{table} = true\n" + re.sub(headers, "", PRESS)
+    found = {path: words for path, words in faults(text).items() if path.split(".")[0] == table}
+    assert list(found) == [table]
+    assert found[table].startswith(f"{table}: must be a ")

@@ -92,7 +92,7 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
     if _COMMA.fullmatch(text):
         yield (
             f'its numbers have decimal commas ("{text}")',
-            "write them with points: sed 's/,/./g' OLD.csv > NEW.csv",
+            "export it with points; where no commas stand between columns, sed 's/,/./g' OLD.csv > NEW.csv does",
         )
         return
     try:

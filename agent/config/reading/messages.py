@@ -18,6 +18,10 @@ _TEXTS: Final[Mapping[str, str]] = {
     "int_type": "must be a whole number, not {input}",
     "int_parsing": "must be a whole number, not {input}",
     "int_from_float": "must be a whole number, not {input}",
+    "int_parsing_size": "must be a whole number of at most 64 bits, not {input}",
+    "string_too_short": "must not be empty",
+    "string_too_long": "must have at most {max_length} letters, not {input}",
+    "string_pattern_mismatch": "{input} is not of the form {pattern}",
     "bool_type": "must be true or false, not {input}",
     "bool_parsing": "must be true or false, not {input}",
     "finite_number": "must be a finite number, not {input}",
@@ -94,6 +98,8 @@ def faults_of(error: ValidationError, path: str, raw: object, known: Sequence[st
     """
     found: dict[str, Fault] = {}
     for detail in error.errors(include_url=False):
+        if detail["type"] == "default_factory_not_called":  # for want of a value that was complained of
+            continue
         where = join(path, *_within(raw, detail))
         found.setdefault(where, _fault(where, detail, known))
     return list(found.values())

@@ -3,8 +3,12 @@
 import re
 
 import pytest
+from pydantic import ValidationError
 
 from agent.config.load import TABLES
+from agent.config.reading.messages import faults_of
+from drivers.modbus.settings import ModbusSettings
+from drivers.serial_port import SerialKeys
 from tests.unit.config.config_texts import MINIMAL, MOTOR, PRESS, changed, faults, with_fake_driver
 
 
@@ -352,6 +356,28 @@ def test_config_limit_that_is_a_share_of_nothing_is_refused(
     text = changed(PRESS, ("limit = 15.0", "limit_percent = 10"), ("deadband = 1.5\n", ""), *changes)
     words = f'a share of the nominal of "{name}", which is 0; give limit in the parameter\'s unit'
     assert words in faults(text)["alarm[0].limit_percent"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({"parity": "x"}, 'parity: "x" is none of "N", "E", "O", "M", "S"'),
+        ({"port": ""}, "port: must not be empty"),
+        ({"baudrate": 1e308}, "baudrate: must be a whole number of at most 64 bits, not 1e+308"),
+    ],
+)
+def test_faults_of_keys_of_a_serial_line_are_said_in_words(keys: dict[str, object], expected: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        SerialKeys.model_validate({"port": "/dev/ttyS0", **keys})
+    (fault,) = faults_of(caught.value, "", keys)
+    assert str(fault).startswith(expected)
+
+
+def test_fault_of_one_key_of_a_modbus_source_is_one_sentence() -> None:
+    raw = {"mode": "poll", "baudrate": -1, "fields": [{"name": "x", "type": "int16"}]}
+    with pytest.raises(ValidationError) as caught:
+        ModbusSettings.model_validate(raw)
+    assert [fault.path for fault in faults_of(caught.value, "", raw)] == ["baudrate"]
 
 
 @pytest.mark.parametrize("table", TABLES)

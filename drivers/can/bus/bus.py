@@ -177,4 +177,6 @@ def message_row(message: "can.Message") -> bytes:
     )
     number = message.arbitration_id | sum(bit for bit, is_set in bits if is_set)
     data = b"" if message.is_remote_frame else bytes(message.data[:64])
-    return pack_frame(number & 0xFFFFFFFF, data, FD_FLAG if message.is_fd else 0, min(message.dlc, 64))
+    # a log that was cut within a frame: what is missing of it is not zero
+    length = min(message.dlc, 64 if message.is_remote_frame else len(data))
+    return pack_frame(number & 0xFFFFFFFF, data, FD_FLAG if message.is_fd else 0, length)

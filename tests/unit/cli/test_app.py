@@ -108,6 +108,7 @@ def test_help_names_every_command_with_one_line(deltak: Run) -> None:
     }
     assert code == 0
     assert [name for name in COMMANDS if not lines.get(name)] == []
+    assert "..." not in out.partition("First steps:")[2]
 
 
 def test_help_answers_in_a_third_of_a_second_without_heavy_libraries() -> None:

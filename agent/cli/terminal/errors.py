@@ -85,7 +85,7 @@ def _usage_fault(error: Any) -> Fault:
     """Return what the option parser found, with the option or the command as its place."""
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "deltak"
-    message = str(error.format_message()).strip().rstrip(".")
+    message = str(error.format_message()).strip().rstrip(".").replace(": Value error, ", ": ")
     place = command.removeprefix("deltak").strip() or "command line"
     return Fault(place, message[:1].lower() + message[1:], f"see {command} --help")
 

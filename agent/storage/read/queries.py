@@ -490,8 +490,8 @@ def _stretches(
     prove_parts(connection, rig, parts)
     shift = shifts(parts)
     newest = newest_of(parts, shift)
-    first = _FIRST if since is None else parse_time(since, newest)
-    last = _LAST if until is None else parse_time(until, newest)
+    first = _FIRST if since is None else min(parse_time(since, newest, "--since"), _LAST)
+    last = _LAST if until is None else max(parse_time(until, newest, "--until"), _FIRST)
     if first > last:
         raise UsageError([Fault("--since", f'"{since}" is later than --until "{until}"', "swap them")])
     by_age = [text is not None and age_ns(text) is not None for text in (since, until)]

@@ -160,7 +160,12 @@ def test_no_command_prints_the_help_on_stderr_and_exits_2(deltak: Run) -> None:
         (["estimates", "a.db", "--sinse", "1d"], "estimates", "--since"),
         (["run", "a.toml", "--duration", "soon"], "run", "--duration"),
         (["run", "a.toml", "--duration", "-1"], "run", "--duration"),
-        (["demo", "--bus", "profibus"], "demo", "modbus"),
+        (
+            ["demo", "--bus", "profibus"],
+            "demo",
+            "invalid value for '--bus': 'profibus' is not one of 'modbus'",
+        ),
+        (["alarms", "a.db", "--since", "1d"], "--since", "goes with --stats; add --stats"),
         (["estimates", "a.db", "--json", "--csv"], "--csv", "--json"),
     ],
 )

@@ -204,6 +204,16 @@ def test_agent_error_prints_every_fault_and_its_exit_code(
     assert [e["path"] for e in json.loads(out)["errors"]] == ["rig.sample_rate_hz", "a.toml:3"]
 
 
+def test_run_that_got_no_samples_says_so_and_asks_for_no_parameter(deltak: Run, body: Any) -> None:
+    nothing = {"rig": "press", "db": "p.db", "span_s": 0.0, "samples": {}, "estimates": {}, "alarms": []}
+    body("replay", "replay", nothing)
+    code, out, _ = deltak("replay", "a.toml", "b.csv")
+    assert code == 0
+    assert "no estimates: not one hop of samples was whole" in out
+    assert "alarms p.db" in out
+    assert "trend" not in out
+
+
 def test_unforeseen_error_is_a_short_line_and_exit_1(deltak: Run, body: Any) -> None:
     body("replay", "replay", ZeroDivisionError("division\nby zero"))
     code, out, err = deltak("replay", "a.toml", "b.csv")

@@ -98,7 +98,8 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
     if _COMMA.fullmatch(text):
         yield (
             f'its numbers have decimal commas ("{text}")',
-            "export it with points; where no commas stand between columns, sed 's/,/./g' OLD.csv > NEW.csv does",
+            "export it with points; between columns that semicolons or tabs divide, "
+            "sed 's/,/./g' OLD.csv > NEW.csv does it",
         )
         return
     try:

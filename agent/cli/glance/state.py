@@ -94,7 +94,7 @@ def _parameter(row: Row, limit: Row | None, alarms: Iterable[Row]) -> dict[str, 
 
 
 def _most_urgent(alarms: Iterable[Row]) -> str | None:
-    """Return the state of the alarm that asks for somebody most; earlier ones of a parameter may stand beside."""
+    """Return the state of the alarm that asks for somebody most: earlier ones may stand beside it."""
     worst = max(alarms, key=urgency, default=None)
     return None if worst is None else str(worst["state"])
 

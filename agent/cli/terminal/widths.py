@@ -1,10 +1,10 @@
-"""Widths of a table's columns: where room is short words are wrapped, the widest column first, none is cut."""
+"""Widths of a table's columns: where room is short the widest are wrapped first, and no word is cut."""
 
 from collections.abc import Collection, Sequence
 
 
 def widths(columns: Sequence[Sequence[str]], whole: Collection[int], room: int) -> tuple[list[int], int]:
-    """Return the width of each column's text and the padding at each side of it, 1 or, where room is short, 0.
+    """Return the width of each column's text, and the padding at its sides: 1, or 0 where room is short.
 
     columns: texts of each, the heading among them. whole: places of columns that are not wrapped (numbers).
     room: of texts and padding together, in characters; less than the longest words need is not met.

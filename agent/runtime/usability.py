@@ -98,8 +98,7 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
     if _COMMA.fullmatch(text):
         yield (
             f'its numbers have decimal commas ("{text}")',
-            "export it with points; between columns that semicolons or tabs divide, "
-            "sed 's/,/./g' OLD.csv > NEW.csv does it",
+            "export it with points; where semicolons or tabs divide columns: sed 's/,/./g' OLD.csv > NEW.csv",
         )
         return
     try:

@@ -254,6 +254,16 @@ def test_interrupt_signal_to_the_process_exits_130() -> None:
     assert (child.returncode, err) == (130, "deltak: interrupted\n")
 
 
+def test_interrupt_while_libraries_are_imported_exits_130() -> None:
+    script = (
+        "import sys\nclass Pressed:\n    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'agent.cli.app':\n            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Pressed())\nfrom agent.cli.entry import main\nmain()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "deltak: interrupted\n")
+
+
 def test_reader_that_leaves_early_is_no_error() -> None:
     script = (
         "import agent.runtime\nfrom types import SimpleNamespace\nfrom agent.cli.app import main\n"

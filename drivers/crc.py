@@ -169,5 +169,5 @@ def by_name(name: str) -> Crc:
 
         near = get_close_matches(key, [*CATALOGUE, *_ALIASES], n=3, cutoff=0.5)
         hint = f"; did you mean {' or '.join(near)}?" if near else ""
-        raise ValueError(f'no CRC is called "{name}"{hint}')
+        raise ValueError(f'no CRC is called "{name[:40]}"{hint}')
     return CATALOGUE[key]

@@ -12,7 +12,7 @@ import re
 import termios
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
@@ -30,7 +30,7 @@ class SerialKeys(DriverSettings):
 
     port: str = Field(min_length=1)
     baudrate: int = Field(default=115200, gt=0)
-    parity: str = Field(default="N", pattern="^[NEOMS]$")
+    parity: Literal["N", "E", "O", "M", "S"] = "N"
     stopbits: int = Field(default=1, ge=1, le=2)
     bytesize: int = Field(default=8, ge=5, le=8)
 

@@ -44,7 +44,10 @@ def sim(
     ] = None,
     scenario: Annotated[
         str,
-        typer.Option(help="Scenario file, or the name of one that comes along: steady, default, step ..."),
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Scenario file, or the name of one that comes along: steady, default, step ...",
+        ),
     ] = "steady",
     fault: Annotated[
         list[str] | None,
@@ -58,9 +61,11 @@ def sim(
     ] = None,
     fast: Annotated[bool, typer.Option("--fast", help="Play as fast as the readers read.")] = False,
     truth: Annotated[
-        Path | None, typer.Option(help="Write what was played to this NPZ file at the end.")
+        Path | None, typer.Option(metavar="FILE", help="Write what was played to this NPZ file at the end.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the ledger as JSON at the end.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="After `ready`, at the end: the ledger as a line of JSON.")
+    ] = False,
     list_faults: Annotated[bool, typer.Option("--list-faults", help="Name every fault, then end.")] = False,
 ) -> None:
     """Play the devices of CONFIG's sources; prints `ready` when they can be read, ends with SIGTERM."""

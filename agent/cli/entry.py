@@ -1,15 +1,19 @@
 """The command line's entry: little is imported before it can be ended well."""
 
+import sys
 from typing import NoReturn
 
-from agent.cli.terminal.signals import done_when_terminated
+from agent.cli.terminal.signals import done_when_terminated, interrupted
 from agent.cli.terminal.start import fast_import
 
 
 def main() -> NoReturn:
-    """Run the command line; SIGTERM ends it well from here on, while the imports are still under way."""
+    """Run the command line; signals end it well from here on, while the imports are still under way."""
     with done_when_terminated():
-        with fast_import():
-            from agent.cli.app import main as command_line
+        try:
+            with fast_import():
+                from agent.cli.app import main as command_line
+        except KeyboardInterrupt:
+            sys.exit(interrupted())
 
         command_line()

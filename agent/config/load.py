@@ -197,7 +197,7 @@ def _cleared(row: Any, key: str, values: tuple[str, ...], path: str, draft: Draf
 def _read_model(raw: object, draft: Draft) -> None:
     mechanical = "mass-spring-damper"
     if not isinstance(raw, dict):
-        draft.model = read_table(MechanicsModel, raw, "model", draft.faults)
+        draft.faults.add("model", f"must be a table, not {shown(raw)}", "write [model]")
         return
     kind = raw.get("kind", mechanical)
     is_known = isinstance(kind, str) and kind in _KINDS

@@ -233,7 +233,7 @@ def _open(driver: Driver) -> Driver:
         driver.open()
     except DriverError as error:
         what, _, advice = str(error).partition("; ")
-        raise RecordingError.at("", what, advice or "give one with a column for each channel") from error
+        raise RecordingError.at("", what, advice or "see that this is the file that was meant") from error
     for note in driver.take_notes():
         log.info("%s", note)
     return driver

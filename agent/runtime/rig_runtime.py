@@ -250,9 +250,10 @@ class RigRuntime:
             self._report(source, *due)
 
     def _report(self, source: str, cause: str, count: int) -> None:
-        words = f"{source}: {cause}, counted {count} times" if count > 1 else f"{source}: {cause}"
-        log.warning("%s: %s", source, words)
-        self._emit([HealthEvent(self.config.rig.name, source, self._wall(), cause, words)])
+        rig = self.config.rig.name
+        words = f"{cause}, counted {count} times" if count > 1 else cause
+        log.warning("%s: %s", f"{rig}: {source}", words)
+        self._emit([HealthEvent(rig, source, self._wall(), cause, f"{source}: {words}")])
 
     def _note_lateness(self, waited_ns: int) -> None:
         reported = self._lateness.step(waited_ns, self._wall())

@@ -17,6 +17,7 @@ LATEST_S = 9.2e9
 """Seconds that nanoseconds in 64 bits can count."""
 _CELL = re.compile(r'"([^"]*)" is no number')
 _UNUSABLE = re.compile(r"(.*?): (none of its \d+ frames fits: .*)")
+_DAMAGED = re.compile(r"(.*?): (is damaged, its end is not read): .*")
 _COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
 
@@ -67,6 +68,11 @@ class Evidence:
         advice = "see that the log is of this bus, and what the DBC file, source_address and j1939 ask for"
         return [Fault(match[1], match[2], advice) for match in map(_UNUSABLE.fullmatch, self.notes) if match]
 
+    def damaged(self) -> list[Fault]:
+        """Return the CAN logs that could be read up to some place only."""
+        found = [_DAMAGED.fullmatch(note) for note in self.notes]
+        return [Fault(match[1], match[2], "what stands before that is used") for match in found if match]
+
     def _pace(self) -> Iterator[tuple[str, str]]:
         steps = np.concatenate(self._steps) if self._steps else np.zeros(0, dtype=np.int64)
         steps = steps[steps > 0]
@@ -92,7 +98,7 @@ def _texts(notes: Sequence[str]) -> Iterator[tuple[str, str]]:
     if _COMMA.fullmatch(text):
         yield (
             f'its numbers have decimal commas ("{text}")',
-            "write them with points: sed 's/,/./g' OLD.csv > NEW.csv",
+            "export it with points; where semicolons or tabs divide columns: sed 's/,/./g' OLD.csv > NEW.csv",
         )
         return
     try:
@@ -122,7 +128,7 @@ def assess(
     is_of_no_use = is_almost_all_refused or not evidence.estimates
     if faults and is_of_no_use:
         raise RecordingError(faults)
-    return faults + evidence.unusable()
+    return [*faults, *evidence.unusable(), *evidence.damaged()]
 
 
 def _why_empty(name: str, evidence: Evidence) -> list[Fault]:

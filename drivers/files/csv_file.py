@@ -52,14 +52,17 @@ class CsvFile(RecordedFile):
             text = line.decode("utf-8-sig").rstrip("\r\n")
         except UnicodeDecodeError:
             text = "\0"
-        if (
-            any(ord(character) < 32 and character != "\t" for character in text)
-            or len(line) == _LONGEST_HEADER
-        ):
+        if "\r" in text and _is_text(text.replace("\r", "")):
+            what = "has lines that end in a carriage return alone"
+            raise DriverConfigError(f"{self._wanted.path}:1: {what}; save it with line feeds")
+        if not _is_text(text):
             kinds = (
                 "a CSV or NPZ file, or a CAN log (.log, .asc, .blf, .trc, .mf4); unpack what is compressed"
             )
             raise DriverConfigError(f"{self._wanted.path}:1: is not text; a recording is {kinds}")
+        if len(line) == _LONGEST_HEADER:
+            what = f"a first line of more than {_LONGEST_HEADER} bytes is not read"
+            raise DriverConfigError(f"{self._wanted.path}:1: {what}; leave out columns that no channel needs")
         if not text.strip():
             raise DriverConfigError(f"{self._wanted.path}:1: is blank; the first line must name the columns")
         return text
@@ -99,6 +102,10 @@ class CsvFile(RecordedFile):
 
     def close(self) -> None:
         self._file.close()
+
+
+def _is_text(line: str) -> bool:
+    return all(ord(character) >= 32 or character == "\t" for character in line)
 
 
 def _is_number(text: str) -> bool:

@@ -50,7 +50,10 @@ class Wanted:
                 f'{self.path}: {present.count(name)} columns are called "{name}"; rename all but one'
             )
         shown = ", ".join(present[:20]) + (f" and {len(present) - 20} more" if len(present) > 20 else "")
-        raise DriverConfigError(f'{self.path}: no column is called "{name}"; columns are {shown}')
+        advice = "say under [columns] which of them it is"
+        if len(present) == 1:
+            advice = "between columns stand commas, semicolons or tabs, and the first line names them"
+        raise DriverConfigError(f'{self.path}: no column is called "{name}"; columns are {shown}; {advice}')
 
     def time_place(self, present: list[str]) -> int | None:
         """Return where the time column is, None where there is none and none is needed."""

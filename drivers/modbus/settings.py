@@ -48,7 +48,7 @@ class ModbusSettings(DriverSettings):
     host: str = "127.0.0.1"
     port: int | str = 502
     baudrate: int = Field(default=19200, gt=0)
-    parity: str = Field(default="N", pattern="^[NEOMS]$")
+    parity: Literal["N", "E", "O", "M", "S"] = "N"
     stopbits: int = Field(default=1, ge=1, le=2)
     device_id: int = Field(default=1, ge=0, le=255)
     function: Literal[3, 4] = 4

@@ -304,7 +304,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SimUsageError(f"{path}: {error.strerror or error}") from error
+        raise SimUsageError(f"{path}: {error.strerror or error}; name a configuration file") from error
     except UnicodeDecodeError as error:
         raise SimUsageError(f"{path}: is no text in UTF-8 (byte {error.start})") from error
     except tomllib.TOMLDecodeError as error:

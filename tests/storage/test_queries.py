@@ -81,7 +81,8 @@ def test_estimates_by_age_count_back_from_each_rigs_newest_row(path: Path) -> No
         ({"rig": "press-8", "parameter": "B1"}, 'no parameter "B1"; parameters are k1, c9'),
         ({"parameter": "k9"}, 'no parameter "k9"; parameters are k1, k2, B1, B2, c9'),
         ({"since": "1h", "until": "2h"}, "later than"),
-        ({"since": "soon"}, "is no time"),
+        ({"since": "soon"}, "--since: .*is no time"),
+        ({"until": "soon"}, "--until: .*is no time"),
     ],
 )
 def test_estimates_of_what_is_not_there_says_what_is(
@@ -89,6 +90,11 @@ def test_estimates_of_what_is_not_there_says_what_is(
 ) -> None:
     with pytest.raises(UsageError, match=words):
         queries.estimates(path, **arguments)
+
+
+def test_estimates_until_long_before_the_first_row_are_none(path: Path) -> None:
+    assert list(queries.estimates(path, until="99999999d")) == []
+    assert list(queries.estimates(path, since="9999-12-31")) == []
 
 
 def test_points_are_the_valid_rows_as_arrays(path: Path) -> None:

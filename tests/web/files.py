@@ -96,6 +96,18 @@ def scores(newest: int) -> list[ForecastScore]:
     ]
 
 
+def restless(folder: Path) -> Path:
+    """Write restless.db: k1 left its limit, came back, and left it again; nobody looked at either."""
+    path = folder / "restless.db"
+    newest = time.time_ns()
+    with Store.open(path) as store:
+        run = store.begin_run(run_info(started_ns=newest - 20 * HOP))
+        steps = (("NORM", "UNACK", 9), ("UNACK", "RTNUN", 5), ("NORM", "UNACK", 1))
+        rows = [step(old, new, newest - hops * HOP, message="k1 fell") for old, new, hops in steps]
+        store.write(run, [batch(20, start=newest - 20 * HOP), *rows])
+    return path
+
+
 def plant(path: Path, parameter: str = "k2") -> None:
     """Raise one more alarm, as the agent does while others read."""
     with Store.open(path) as store:

@@ -49,6 +49,12 @@ def test_overview_without_a_configuration_takes_the_limit_of_the_alarm(path: Pat
     assert [row["limit"] for row in worst["parameters"]] == [15.0, None, None, None]
 
 
+def test_overview_of_a_parameter_that_was_alarmed_twice_shows_the_alarm_that_stands(memory: Path) -> None:
+    (rig,) = overview([one(files.restless(memory))], time.time_ns())["rigs"]
+    assert [alarm["state"] for alarm in rig["alarms"]] == ["UNACK", "RTNUN"]
+    assert {row["parameter"]: row["alarm"] for row in rig["parameters"]}["k1"] == "UNACK"
+
+
 @pytest.mark.parametrize(
     ("row", "drawn"),
     [

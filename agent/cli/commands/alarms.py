@@ -45,8 +45,11 @@ def alarms(
 ) -> None:
     """List alarms, one line an activation; --since goes with --stats."""
     from agent.cli.operator import alarms as body
+    from agent.errors import UsageError
 
     form = form_of(json=json, csv=csv)
+    if since is not None and not stats:
+        raise UsageError.at("--since", "goes with --stats", "add --stats, or leave it out")
     if states:
         body.print_states(as_json=json)
     elif stats:

@@ -88,9 +88,15 @@ def _parameter(row: Row, limit: Row | None, alarms: Iterable[Row]) -> dict[str, 
         "limit": size,
         "side": None if limit is None else limit["side"],
         "used": abs(row["delta"]) / size if known and size else None,  # share of the limit
-        "alarm": next((a["state"] for a in alarms if a["parameter"] == row["parameter"]), None),
+        "alarm": _most_urgent(a for a in alarms if a["parameter"] == row["parameter"]),
         "known": known_now(row, size),
     }
+
+
+def _most_urgent(alarms: Iterable[Row]) -> str | None:
+    """Return the state of the alarm that asks for somebody most: earlier ones may stand beside it."""
+    worst = max(alarms, key=urgency, default=None)
+    return None if worst is None else str(worst["state"])
 
 
 def _limit_of(limit: Row | None, reference: float | None) -> float | None:

@@ -66,15 +66,16 @@ def _print_alarm_table(rows: Sequence[Row]) -> None:
     if not rows:
         sys.stdout.write("no alarms\n")
         return
-    columns = ("id", "rig", "kind", "priority", "state", "raised", "cleared", "what")
-    print_table("", columns, (_alarm_cells(row) for row in rows))
+    skip = 0 if len({place(row) for row in rows}) > 1 else 1
+    columns = ("rig", "id", "kind", "priority", "state", "raised", "cleared", "what")
+    print_table("", columns[skip:], (_alarm_cells(row)[skip:] for row in rows))
     for kind in dict.fromkeys(row["kind"] for row in rows):
         show(f"{kind}: {KINDS.get(kind, 'of another version')}")
 
 
 def _alarm_cells(row: Row) -> tuple[str, ...]:
     raised, cleared = with_local(row["raised_at"]), with_local(row["cleared_at"])
-    return str(row["id"]), place(row), row["kind"], row["priority"], state(row), raised, cleared, what(row)
+    return place(row), str(row["id"]), row["kind"], row["priority"], state(row), raised, cleared, what(row)
 
 
 def place(row: Row) -> str:
@@ -122,7 +123,7 @@ def statistics(db: Path, rig: str | None, since: str | None) -> dict[str, Any]:
     oldest = min(
         [_instant(run["started_at"]) for run in runs] + [event["t_ns"] for event in events], default=0
     )
-    first = oldest if since is None else parse_time(since, newest)
+    first = oldest if since is None else parse_time(since, newest, "--since")
     if first > newest:
         raise UsageError.at("--since", f"{iso_time(first)} is after the newest row", "give an earlier time")
     announced = [

@@ -59,6 +59,9 @@ def verdicts(db: Path, rig: str | None, form: str) -> None:
 
 def _print_estimate_table(rows: Sequence[Row]) -> None:
     """Print the newest rows, with the rig where there are several."""
+    if not rows:
+        sys.stdout.write("no rows\n")
+        return
     skip = 0 if len({row["rig"] for row in rows}) > 1 else 1
     columns = ("rig", "time", "parameter", "value ± sd", "unit", "95 %", "change", "status")
     cells = (_estimate_cells(row)[skip:] for row in rows[-TABLE_ROWS:])

@@ -64,6 +64,9 @@ def _units(document: Document) -> dict[str, str]:
 
 
 def _print_estimates(run: Document) -> None:
+    if not run.get("estimates"):
+        show("no estimates: not one hop of samples was whole")
+        return
     columns = ("parameter", "value ± sd", "unit", "95 %", "change", "status", "valid rows")
     rows = (
         (
@@ -149,9 +152,10 @@ def _print_queries(run: Document) -> None:
     if not db:
         show("nothing was kept; --db FILE keeps it")
         return
-    name = quote(next(iter(run.get("estimates", {})), "PARAMETER"))
     file = quote(str(db))
-    asked = (f"estimates {file} --parameter {name}", f"alarms {file}", f"trend {file} {name}")
+    asked = [f"alarms {file}"]
+    for name in map(quote, list(run.get("estimates", {}))[:1]):
+        asked = [f"estimates {file} --parameter {name}", *asked, f"trend {file} {name}"]
     lines = [f"{_program()} {words}" for words in asked]
     sql = f"sqlite3 -readonly {file} 'select time, parameter, value, sd, status from v_latest'"  # noqa: S608 shown only
     sys.stdout.write("\nask the file:\n" + "".join(f"  {line}\n" for line in (*lines, sql)))

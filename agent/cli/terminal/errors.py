@@ -11,10 +11,10 @@ import typer
 
 from agent.cli.terminal.logs import set_up_logging
 from agent.cli.terminal.output import print_faults
+from agent.cli.terminal.signals import INTERRUPTED, interrupted
 from agent.cli.terminal.streams import ReaderGoneError, guarded_streams
 from agent.errors import Fault, UsageError
 
-INTERRUPTED = 130
 USAGE = 2
 
 
@@ -44,10 +44,10 @@ def _code(app: typer.Typer, args: Sequence[str], flags: Flags) -> int:
     except ReaderGoneError:
         return 0
     except (KeyboardInterrupt, typer.Abort):
-        return _interrupted()
+        return interrupted()
     except Exception as error:  # noqa: BLE001 the one place where all that is unforeseen ends
         return report(error, flags)
-    return _interrupted() if code == INTERRUPTED else int(code or 0)
+    return interrupted() if code == INTERRUPTED else int(code or 0)
 
 
 def take_flags(argv: Sequence[str]) -> tuple[list[str], Flags]:
@@ -85,11 +85,6 @@ def _usage_fault(error: Any) -> Fault:
     """Return what the option parser found, with the option or the command as its place."""
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "deltak"
-    message = str(error.format_message()).strip().rstrip(".")
+    message = str(error.format_message()).strip().rstrip(".").replace(": Value error, ", ": ")
     place = command.removeprefix("deltak").strip() or "command line"
     return Fault(place, message[:1].lower() + message[1:], f"see {command} --help")
-
-
-def _interrupted() -> int:
-    sys.stderr.write("deltak: interrupted\n")
-    return INTERRUPTED

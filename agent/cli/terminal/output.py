@@ -5,8 +5,9 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from agent.cli.terminal.widths import widths
 from agent.errors import Fault
 from agent.text import iso_time, printable
 
@@ -87,20 +88,29 @@ def stdout_text() -> "SupportsWrite[str]":
 def print_table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, right: Iterable[str] = ()
 ) -> None:
-    """Print a table for people; columns named in right hold numbers."""
+    """Print a table for people; columns named in right hold numbers.
+
+    Where a terminal is too narrow, words are wrapped and columns move together; no word is cut.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
 
     numeric = set(right)
+    cells = [[printable(cell) for cell in row] for row in rows]
+    texts = [[column, *(row[place] for row in cells)] for place, column in enumerate(columns)]
+    whole = {place for place, column in enumerate(columns) if column in numeric}
+    dividers = len(columns) + 1
+    wide, padding = widths(texts, whole, console().width - dividers)
     heading = Text(printable(title)) if title else None
-    table = Table(title=heading, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    for column in columns:
-        table.add_column(
-            Text(column), justify="right" if column in numeric else "left", no_wrap=column in numeric
-        )
-    for row in rows:
-        table.add_row(*(Text(printable(cell)) for cell in row))
+    table = Table(
+        title=heading, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=(0, padding)
+    )
+    for column, width in zip(columns, wide, strict=True):
+        side: Literal["left", "right"] = "right" if column in numeric else "left"
+        table.add_column(Text(column), justify=side, width=width, overflow="fold")
+    for row in cells:
+        table.add_row(*map(Text, row))
     show(table)
 
 

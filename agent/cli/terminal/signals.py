@@ -1,4 +1,4 @@
-"""SIGTERM: whatever a command is doing, it puts away what it holds and leaves with exit code 0.
+"""SIGTERM: whatever a command is doing, it puts away what it holds and leaves with exit code 0; SIGINT: 130.
 
 Imports nothing that takes time, so that it can stand before all that does.
 """
@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+INTERRUPTED = 130
 
 
 class Terminated(BaseException):
@@ -31,3 +33,9 @@ def done_when_terminated() -> Iterator[None]:
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
     raise Terminated
+
+
+def interrupted() -> int:
+    """Say that SIGINT ended the command; return its exit code."""
+    sys.stderr.write("deltak: interrupted\n")
+    return INTERRUPTED

@@ -67,7 +67,8 @@ def read_table(table: type[T], raw: object, path: str, faults: Faults) -> T:
     """
     if not isinstance(raw, dict):
         faults.add(path, f"must be a table, not {shown(raw)}")
-        return _salvage(table, {}, set(table.model_fields))
+        needed = {key for key, about in table.model_fields.items() if about.is_required()}
+        return _salvage(table, {}, needed)  # the rest as if the table were empty, so that rules can judge it
     fields = table.model_fields
     faults.found += [unknown_key(path, key, list(fields)) for key in raw if key not in fields]
     known = {key: _nested(table, key, raw[key], join(path, key), faults) for key in fields if key in raw}

@@ -20,13 +20,14 @@ def age_ns(text: str) -> int | None:
     return int(Decimal(match[1]) * _UNIT_NS[match[2]]) if match else None
 
 
-def parse_time(text: str, newest_ns: int | None) -> int:
+def parse_time(text: str, newest_ns: int | None, place: str = "time") -> int:
     """Return nanoseconds since the epoch.
 
     Args:
         text: ISO 8601 (UTC unless it says otherwise; up to nine decimals) or an age counted back from
             `newest_ns`.
         newest_ns: the newest row there is; None when there is none (an age then reaches back from time zero).
+        place: where it was typed.
 
     Raises:
         UsageError: the text is neither.
@@ -37,17 +38,17 @@ def parse_time(text: str, newest_ns: int | None) -> int:
     match = _ISO.fullmatch(text.strip())
     if match is None:
         raise UsageError.at(
-            "time", f'"{text}" is no time', 'write 2026-03-01T12:00:00Z, or an age such as "30d" or "12h"'
+            place, f'"{text}" is no time', 'write 2026-03-01T12:00:00Z, or an age such as "30d" or "12h"'
         )
-    return _iso_ns(text, match)
+    return _iso_ns(text, match, place)
 
 
-def _iso_ns(text: str, match: "re.Match[str]") -> int:
+def _iso_ns(text: str, match: "re.Match[str]", place: str) -> int:
     day, clock, fraction, zone = match.groups()
     zone = "+00:00" if zone in {None, "Z"} else zone
     try:
         moment = datetime.fromisoformat(f"{day}T{clock or '00:00'}{zone}")
     except ValueError as error:
-        raise UsageError.at("time", f'"{text}" is no time ({error})', "write 2026-03-01T12:00:00Z") from error
+        raise UsageError.at(place, f'"{text}" is no time ({error})', "write 2026-03-01T12:00:00Z") from error
     since = moment - datetime(1970, 1, 1, tzinfo=UTC)
     return (since.days * 86400 + since.seconds) * 10**9 + int((fraction or "").ljust(9, "0"))

@@ -4,11 +4,12 @@ Each bus is read by one thread in a loop of its own. Nothing is ever sent but a 
 """
 
 import os
+import re
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from drivers import clock
 from drivers.can.codec.frames import (
@@ -37,10 +38,16 @@ Filters = tuple[tuple[int, int], ...]
 """(number, mask) each: frames whose identifier, flag bits included, equals number within mask are wanted."""
 
 
+def _known_form(interface: str) -> str:
+    if not re.fullmatch("[a-z][a-z0-9_]*", interface):
+        raise ValueError('must be the name of an interface, such as "socketcan"')
+    return interface
+
+
 class BusKeys(DriverSettings):
     """Which bus to listen to."""
 
-    interface: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    interface: Annotated[str, AfterValidator(_known_form)]
     channel: str = Field(min_length=1, max_length=255)
     host: str = "127.0.0.1"
     port: int = Field(default=29536, gt=0, lt=65536)
@@ -170,4 +177,6 @@ def message_row(message: "can.Message") -> bytes:
     )
     number = message.arbitration_id | sum(bit for bit, is_set in bits if is_set)
     data = b"" if message.is_remote_frame else bytes(message.data[:64])
-    return pack_frame(number & 0xFFFFFFFF, data, FD_FLAG if message.is_fd else 0, min(message.dlc, 64))
+    # a log that was cut within a frame: what is missing of it is not zero
+    length = min(message.dlc, 64 if message.is_remote_frame else len(data))
+    return pack_frame(number & 0xFFFFFFFF, data, FD_FLAG if message.is_fd else 0, length)

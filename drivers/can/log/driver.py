@@ -2,7 +2,7 @@
 
 import gzip
 import itertools
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, ClassVar, cast
 
@@ -129,7 +129,7 @@ class CanLogDriver(DbcDriver):
         try:
             channel = self._channel(path)
             messages = _messages(path)
-            while batch := list(itertools.islice(messages, _BLOCK)):
+            for batch in _batches(messages):
                 begun = True
                 if kept := self._of_channel(batch, channel, path):
                     yield _packed(kept)
@@ -142,7 +142,8 @@ class CanLogDriver(DbcDriver):
             raise DriverConfigError(f"{path}: {error.strerror}") from error
         except Exception as error:
             if not begun:
-                raise DriverConfigError(f"{path}: cannot be read as a CAN log: {error!r}") from error
+                what = f"cannot be read as a CAN log: {error!r}"
+                raise DriverConfigError(f"{path}: {what}; see that its suffix is that of its form") from error
             self.counts.faults["log"] += 1
             self.note(f"{path}: is damaged, its end is not read: {error!r}")
 
@@ -171,6 +172,23 @@ def _messages(path: Path) -> "Generator[can.Message]":
     # the library leaves the file open when it cannot read it: it is opened, and so closed, here
     with _open_file(path) as file, _reader(path)(file) as reader:
         yield from reader
+
+
+def _batches(messages: "Iterable[can.Message]") -> "Iterator[list[can.Message]]":
+    """Yield messages many at a time; those before damage come before its exception."""
+    batch: list[can.Message] = []
+    try:
+        for message in messages:
+            batch.append(message)
+            if len(batch) == _BLOCK:
+                yield batch
+                batch = []
+    except Exception:
+        if batch:
+            yield batch
+        raise
+    if batch:
+        yield batch
 
 
 def _channels(path: Path, kind: str) -> Iterator[str]:

@@ -108,6 +108,7 @@ def test_help_names_every_command_with_one_line(deltak: Run) -> None:
     }
     assert code == 0
     assert [name for name in COMMANDS if not lines.get(name)] == []
+    assert "..." not in out.partition("First steps:")[2]
 
 
 def test_help_answers_in_a_third_of_a_second_without_heavy_libraries() -> None:
@@ -159,7 +160,12 @@ def test_no_command_prints_the_help_on_stderr_and_exits_2(deltak: Run) -> None:
         (["estimates", "a.db", "--sinse", "1d"], "estimates", "--since"),
         (["run", "a.toml", "--duration", "soon"], "run", "--duration"),
         (["run", "a.toml", "--duration", "-1"], "run", "--duration"),
-        (["demo", "--bus", "profibus"], "demo", "modbus"),
+        (
+            ["demo", "--bus", "profibus"],
+            "demo",
+            "invalid value for '--bus': 'profibus' is not one of 'modbus'",
+        ),
+        (["alarms", "a.db", "--since", "1d"], "--since", "goes with --stats; add --stats"),
         (["estimates", "a.db", "--json", "--csv"], "--csv", "--json"),
     ],
 )
@@ -196,6 +202,16 @@ def test_agent_error_prints_every_fault_and_its_exit_code(
         "deltak: error: a.toml:3: odd\n"
     )
     assert [e["path"] for e in json.loads(out)["errors"]] == ["rig.sample_rate_hz", "a.toml:3"]
+
+
+def test_run_that_got_no_samples_says_so_and_asks_for_no_parameter(deltak: Run, body: Any) -> None:
+    nothing = {"rig": "press", "db": "p.db", "span_s": 0.0, "samples": {}, "estimates": {}, "alarms": []}
+    body("replay", "replay", nothing)
+    code, out, _ = deltak("replay", "a.toml", "b.csv")
+    assert code == 0
+    assert "no estimates: not one hop of samples was whole" in out
+    assert "alarms p.db" in out
+    assert "trend" not in out
 
 
 def test_unforeseen_error_is_a_short_line_and_exit_1(deltak: Run, body: Any) -> None:
@@ -236,6 +252,16 @@ def test_interrupt_signal_to_the_process_exits_130() -> None:
         child.send_signal(signal.SIGINT)
         _, err = child.communicate(timeout=20)
     assert (child.returncode, err) == (130, "deltak: interrupted\n")
+
+
+def test_interrupt_while_libraries_are_imported_exits_130() -> None:
+    script = (
+        "import sys\nclass Pressed:\n    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'agent.cli.app':\n            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Pressed())\nfrom agent.cli.entry import main\nmain()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "deltak: interrupted\n")
 
 
 def test_reader_that_leaves_early_is_no_error() -> None:

@@ -279,6 +279,10 @@ def test_trend_plot_writes_a_picture(db: Path, said: Said, tmp_path: Path, endin
     assert (tmp_path / f"k1.{ending}").stat().st_size > 3000
 
 
+def test_estimates_of_a_time_without_rows_say_so(db: Path, said: Said) -> None:
+    assert said(estimates, db, None, None, "2099-01-01", None, "table") == "no rows\n"
+
+
 @pytest.mark.parametrize(
     ("command", "code", "words"),
     [

@@ -1,7 +1,14 @@
 """Every rule of CONTRACT section 3: what is changed in a right file, where the fault is, what it says."""
 
-import pytest
+import re
 
+import pytest
+from pydantic import ValidationError
+
+from agent.config.load import TABLES
+from agent.config.reading.messages import faults_of
+from drivers.modbus.settings import ModbusSettings
+from drivers.serial_port import SerialKeys
 from tests.unit.config.config_texts import MINIMAL, MOTOR, PRESS, changed, faults, with_fake_driver
 
 
@@ -349,3 +356,34 @@ def test_config_limit_that_is_a_share_of_nothing_is_refused(
     text = changed(PRESS, ("limit = 15.0", "limit_percent = 10"), ("deadband = 1.5\n", ""), *changes)
     words = f'a share of the nominal of "{name}", which is 0; give limit in the parameter\'s unit'
     assert words in faults(text)["alarm[0].limit_percent"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({"parity": "x"}, 'parity: "x" is none of "N", "E", "O", "M", "S"'),
+        ({"port": ""}, "port: must not be empty"),
+        ({"baudrate": 1e308}, "baudrate: must be a whole number of at most 64 bits, not 1e+308"),
+    ],
+)
+def test_faults_of_keys_of_a_serial_line_are_said_in_words(keys: dict[str, object], expected: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        SerialKeys.model_validate({"port": "/dev/ttyS0", **keys})
+    (fault,) = faults_of(caught.value, "", keys)
+    assert str(fault).startswith(expected)
+
+
+def test_fault_of_one_key_of_a_modbus_source_is_one_sentence() -> None:
+    raw = {"mode": "poll", "baudrate": -1, "fields": [{"name": "x", "type": "int16"}]}
+    with pytest.raises(ValidationError) as caught:
+        ModbusSettings.model_validate(raw)
+    assert [fault.path for fault in faults_of(caught.value, "", raw)] == ["baudrate"]
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_config_something_else_in_place_of_a_table_is_one_fault_of_that_table(table: str) -> None:
+    headers = rf"\[\[?{table}\]\]?\n(?:[^\[].*\n|\n)*"
+    text = f"{table} = true\n" + re.sub(headers, "", PRESS)
+    found = {path: words for path, words in faults(text).items() if path.split(".")[0] == table}
+    assert list(found) == [table]
+    assert found[table].startswith(f"{table}: must be a ")

@@ -131,7 +131,10 @@ def test_csv_with_unreadable_times_and_the_uniform_clock_keeps_every_row(tmp_pat
         (bytes(range(256)) * 100, "is not text"),
         (b"\x1f\x8b\x08\x00", "or a CAN log .*; unpack what is compressed"),
         (b"\n1,2\n", "is blank"),
-        (b"t,force,y\n0,1,2\n", 'no column is called "x1"; columns are t, force, y'),
+        (b"t,force,x1\r0,1,2\r", "lines that end in a carriage return alone; save it with line feeds"),
+        (b"t,force,x1," + b"y" * (1 << 20), "a first line of more than 1048576 bytes is not read"),
+        (b"t,force,y\n0,1,2\n", 'no column is called "x1"; columns are t, force, y; say under .columns.'),
+        (b"t force x1\n0 1 2\n", "columns are t force x1; between columns stand commas, semicolons or tabs"),
         (b"t,force,x1,x1\n0,1,2,3\n", '2 columns are called "x1"'),
     ],
 )

@@ -162,6 +162,41 @@ def test_log_damaged_further_on_is_read_up_to_there_and_says_so(tmp_path: Path, 
     assert log.take_notes() == [f"{path}:2: is no frame; it is passed over"]
 
 
+def cut_log(folder: Path, suffix: str, behind: str, letters: int) -> Path:
+    """Write a log of which 50 frames are whole; of the next one stands what comes before and some letters."""
+    path = folder / f"cut.{suffix}"
+    with can.Logger(path) as writer:
+        for number in range(100):
+            data = bytes([number, 0x5A, *range(6)])
+            writer.on_message_received(
+                can.Message(timestamp=1.0 + number / 10, arbitration_id=9, data=data, is_extended_id=False)
+            )
+    whole = path.read_text()
+    place = whole.index(behind, whole.index(" 32 5A 00 01 02") - 8) + len(behind)
+    path.write_text(whole[: place + letters])
+    return path
+
+
+@pytest.mark.parametrize(("suffix", "behind", "letters"), [("asc", "d 8", -2), ("trc", " 32 5A", -1)])
+def test_log_cut_within_a_line_is_read_up_to_there_and_says_so(
+    tmp_path: Path, dbc: Path, suffix: str, behind: str, letters: int
+) -> None:
+    path = cut_log(tmp_path, suffix, behind, letters)
+    log = driver(path, dbc, counter="TRUCK.n")
+    assert sum(map(len, blocks_of(log))) == 50
+    assert log.counts.faults == {"log": 1}
+    (note,) = log.take_notes()
+    assert note.startswith(f"{path}: is damaged, its end is not read: ")
+
+
+def test_log_cut_within_the_bytes_of_a_frame_makes_no_reading_of_what_is_left(
+    tmp_path: Path, dbc: Path
+) -> None:
+    log = driver(cut_log(tmp_path, "asc", " 32 5A", 6), dbc, counter="TRUCK.n")
+    assert sum(map(len, blocks_of(log))) == 50
+    assert log.counts.rejected == {"dlc": 1}
+
+
 def two_buses(folder: Path, *wires: str) -> Path:
     """Write 200 frames, those of each interface with its place among `wires` in byte 7, and a line that is
     none."""

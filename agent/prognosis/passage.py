@@ -105,7 +105,7 @@ def newest_levels(
     index = _chosen(best, n, rng)
     at, slope = bent(np.array(newest), best.column("bend", 0.0)[index], scale)
     u = best.state.u[index] + np.sqrt(np.maximum(best.state.uu[index], 0.0)) * rng.standard_normal(n)
-    levels: FloatArray = newest + (u - at) / slope
+    levels: FloatArray = newest + (u - at) / np.exp(slope)
     return levels
 
 

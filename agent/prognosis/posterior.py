@@ -13,19 +13,15 @@ from agent.prognosis.filter import State, Walk, moved, run_filter
 from agent.prognosis.prior import Prior
 from agent.types import FloatArray
 
-AT_ONCE = 5
-"""Readings whose numbers are made at once: of all of them they leave the processor's cache and a gateway's
-memory, and of fewer the calls cost more than the numbers."""
+AT_ONCE = 24_000
+"""Readings, times particles, whose numbers are made at once: more leave the processor's cache (all took 12 MB
+of a gateway's memory), and of fewer the calls cost more than the numbers."""
 WITHIN = -40.0, 25.0
 """Logarithms that a proposal may reach; beyond, numbers overflow."""
 RUN_IN = 50.0
 """How freely the rate wanders while a part runs in, in usual rates over a span."""
 COUNTED = 1.0 / 11.0
 """Share of the particles that need count for the next round: more, and a few hundred stay where they are."""
-SETTLED = 1
-"""Rounds after which the evidence of a law is within a factor or two of what it comes to."""
-NEGLIGIBLE = 8.0
-"""Logarithm of how much less probable than the best a law is that is sought no further: 1 in 3,000."""
 COMMON = ("walk", "wander", "scatter")
 
 
@@ -41,7 +37,7 @@ class Effort:
 
 
 FULL = Effort(160, 800, 6, 4000, 120)
-BRIEF = Effort(24, 320, 3, 600, 60)
+BRIEF = Effort(24, 320, 3, 600, 40)
 """For tables of many parts, a fifth of the cost: few means rather than few particles, which lose the law."""
 
 
@@ -113,17 +109,11 @@ def posterior(
     """Return the particles of every member of the family that the prior allows."""
     members = [name for name in MEMBERS if prior.members.get(name, 0.0) > 0.0]
     swarms = [_first(prior, rng, name, effort.particles) for name in members]
-    found: dict[str, Particles] = {}
     for round_ in range(effort.rounds):
         weighed = _weigh(readings, scale, swarms)
-        found |= {one.swarm.member: _particles(one, prior) for one in weighed}
-        best = max(one.log_evidence for one in found.values())
-        swarms = [
-            _next(one, prior, rng)
-            for one in weighed
-            if round_ < SETTLED or found[one.swarm.member].log_evidence > best - NEGLIGIBLE
-        ]
-    return list(found.values())
+        if round_ + 1 < effort.rounds:
+            swarms = [_next(one, prior, rng) for one in weighed]
+    return [_particles(one, prior) for one in weighed]
 
 
 def _first(prior: Prior, rng: np.random.Generator, member: str, count: int) -> _Swarm:
@@ -210,17 +200,18 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
 def filtered(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> list[tuple[State, FloatArray]]:
     """Return states at the newest reading and log likelihoods of each swarm's particles, from one filter."""
     column = _columns(readings, scale, swarms)
-    state = _start(readings, _seen(readings, scale, column, slice(1))[0][0], column)
+    state = _start(readings, _seen(readings, scale, swarms, column, slice(1))[0][0], column)
     likelihood = slopes = np.zeros(len(state.u))
-    for row in range(0, len(readings.t), AT_ONCE):
-        u, variance, slope = _seen(readings, scale, column, slice(row, row + AT_ONCE))
-        walk = _walk(readings.t[max(row - 1, 0) : row + AT_ONCE], readings, swarms, column)
+    rows = max(1, AT_ONCE // len(state.u))
+    for row in range(0, len(readings.t), rows):
+        u, variance, slope = _seen(readings, scale, swarms, column, slice(row, row + rows))
+        walk = _walk(readings.t[max(row - 1, 0) : row + rows], readings, swarms, column)
         if row > 0:
             state = moved(state, walk, 0)
             walk = walk.after(1)
         state, likelihood = run_filter(u, variance, walk, state, likelihood)
         # row by row, so that the sum does not depend on how many rows are made at once
-        slopes = np.add.reduce([slopes, *np.log(slope)])
+        slopes = np.add.reduce([slopes, *slope])
     return [
         (State(*(cells[mine] for cells in state)), likelihood[mine] + slopes[mine])
         for mine in _places(swarms)
@@ -246,13 +237,17 @@ def _columns(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> dict[str
 
 
 def _seen(
-    readings: Readings, scale: Scale, column: dict[str, FloatArray], rows: slice
+    readings: Readings, scale: Scale, swarms: list[_Swarm], column: dict[str, FloatArray], rows: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return readings and their variances in the scale where each particle's law is a line, and its slope."""
+    """Return readings, their variances and ln(du/dz), (n, N), where each particle's law is a line."""
     smooth, sd = readings.smooth[rows, None], readings.sd[rows, None]
-    u, slope = bent(smooth, column["bend"], scale)
-    u = u + slope * (readings.z[rows, None] - smooth)
-    return u, slope**2 * (sd**2 + np.exp(2.0 * column["scatter"])), slope
+    u, log_slope = np.empty((2, len(smooth), len(column["bend"])))
+    for swarm, mine in zip(swarms, _places(swarms), strict=True):
+        bend = column["bend"][mine] if "bend" in swarm.names else np.zeros(1)
+        u[:, mine], log_slope[:, mine] = bent(smooth, bend, scale)
+    slope = np.exp(log_slope)
+    u += slope * (readings.z[rows, None] - smooth)
+    return u, slope**2 * (sd**2 + np.exp(2.0 * column["scatter"])), log_slope
 
 
 def _walk(t: FloatArray, readings: Readings, swarms: list[_Swarm], column: dict[str, FloatArray]) -> Walk:

@@ -77,7 +77,7 @@ def _sign_max(way: float, gone: float, sign: float) -> float:
 
 
 def bent(z: FloatArray, bend: FloatArray, scale: Scale) -> tuple[FloatArray, FloatArray]:
-    """Return u and du/dz of scaled levels z for the laws' κ; arrays that broadcast.
+    """Return u and ln(du/dz) of scaled levels z for the laws' κ; arrays that broadcast.
 
     With x the law's own coordinate, u = (exp(−λ x) − 1)/(−λ) and λ = κ/reach − 1 for a power of the level
     (whose dz = exp(x) dx), κ/reach else.
@@ -87,9 +87,9 @@ def bent(z: FloatArray, bend: FloatArray, scale: Scale) -> tuple[FloatArray, Flo
         x = np.log(np.maximum(1.0 + sign * z, 1e-6))
         steepness = bend / scale.reach
         u = sign * way_gone(x, 1.0 - steepness)
-        return u, np.exp(np.clip(-steepness * x, -STEEPEST, STEEPEST))
+        return u, np.clip(-steepness * x, -STEEPEST, STEEPEST)
     steepness = bend / scale.reach
-    return way_gone(z, -steepness), np.exp(np.clip(-steepness * z, -STEEPEST, STEEPEST))
+    return way_gone(z, -steepness), np.clip(-steepness * z, -STEEPEST, STEEPEST)
 
 
 def onward(z: float, bend: FloatArray, later: FloatArray, scale: Scale) -> FloatArray:

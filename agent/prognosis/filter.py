@@ -7,14 +7,14 @@ any length.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from agent.types import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class State:
+class State(NamedTuple):
     """A Gaussian of level u and rate b, (N,) each: means, variances, covariance."""
 
     u: FloatArray

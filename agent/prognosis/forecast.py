@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.prognosis.change import FEWEST, change
 from agent.prognosis.family import MEMBERS, Scale, scale_of, way_left
-from agent.prognosis.history import History, blocks, smoothed, sound
+from agent.prognosis.history import History, blocks, monotone, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
 from agent.prognosis.passage import FARTHEST, first_passages, newest_levels
 from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior
@@ -207,10 +207,19 @@ def _specimen(history: History, limit: float | None) -> Specimen | None:
 
 
 def _life(history: History, limit: float | None) -> History:
-    """Return rows up to the first that reaches the limit, which may be on either side of the first rows."""
+    """Return rows up to where the level reaches the limit, which may be on either side of the first rows.
+
+    The first row beyond the limit is early by the rows' noise; the level is their isotonic regression, up to
+    where they are back nearer to the start than to the limit, as after a repair.
+    """
     if limit is None or not len(history):
         return history
     way = limit - float(np.median(history.value[:5]))
-    beyond = np.flatnonzero((history.value - limit) * np.sign(way) >= 0.0)
-    held = [row for row in beyond[:50].tolist() if row >= 5]
-    return history if not held else history[: held[0] + 1]
+    gone = (history.value - (limit - way)) * np.sign(way)
+    beyond = [row for row in np.flatnonzero(gone >= abs(way))[:50].tolist() if row >= 5]
+    if not beyond:
+        return history
+    back = np.flatnonzero(gone[beyond[0] :] < 0.5 * abs(way))
+    stop = beyond[0] + int(back[0]) if len(back) else len(history)
+    reached = np.flatnonzero(monotone(gone[:stop], np.ones(stop)) >= abs(way))
+    return history[: int(reached[0]) + 1 if len(reached) else stop]

@@ -1,6 +1,7 @@
 """When a level first reaches its limit: paths simulated onward from a posterior."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,13 +17,31 @@ FARTHEST = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Course:
-    """How rates go on in time by themselves: r of a ramp, 0 for none; τ of a saturation, inf for none."""
+class _Paths:
+    """Paths on their way to the limit, (N,) each.
 
+    Attributes:
+        gap, rate: way in u that is left, and how fast it closes.
+        walk, wander: how both scatter.
+        ramp, constant: how rates go on in time by themselves: r of a ramp, 0 for none; τ of a saturation, inf
+            for none.
+    """
+
+    gap: FloatArray
+    rate: FloatArray
+    walk: FloatArray
+    wander: FloatArray
     ramp: FloatArray
     constant: FloatArray
 
-    def at(self, t: float) -> FloatArray:
+    @classmethod
+    def joined(cls, parts: "Sequence[_Paths]") -> "_Paths":
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
+
+    def at(self, rows: NDArray[np.intp]) -> "_Paths":
+        return _Paths(*(getattr(self, name)[rows] for name in self.__slots__))
+
+    def faster(self, t: float) -> FloatArray:
         """Return the rate over the rate at the start, at t spans from now."""
         return (1.0 + self.ramp * (t + 1.0)) * np.exp(-(t + 1.0) / self.constant)
 
@@ -42,20 +61,14 @@ def first_passages(
     counts = np.floor(share * effort.paths + 1e-9).astype(int)
     counts[int(np.argmax(share))] += effort.paths - counts.sum()
     drawn = zip(found, counts.tolist(), strict=True)
-    return np.concatenate(
-        [_paths(member, scale, newest, later, n, effort.steps, rng) for member, n in drawn if n]
-    )
+    paths = [_paths(member, scale, newest, later, n, rng) for member, n in drawn if n]
+    return _simulated(_Paths.joined(paths), effort.steps, rng)
 
 
 def _paths(
-    found: Particles,
-    scale: Scale,
-    newest: float,
-    later: Student,
-    n: int,
-    steps: int,
-    rng: np.random.Generator,
-) -> FloatArray:
+    found: Particles, scale: Scale, newest: float, later: Student, n: int, rng: np.random.Generator
+) -> _Paths:
+    """Return n paths of one law at the newest row."""
     index = _chosen(found, n, rng)
     s = found.state
     bend = found.column("bend", 0.0)[index]
@@ -68,11 +81,12 @@ def _paths(
     lean = np.divide(s.ub[index], s.bb[index], out=np.zeros(n), where=s.bb[index] > 0)
     rest = np.maximum(s.uu[index] - lean * s.ub[index], 0.0)
     u = s.u[index] + lean * (b - s.b[index]) + np.sqrt(rest) * normal[1]
-    course = _Course(
-        np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index])
-    )
-    q, w = np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index])
-    return _simulated(np.sign(scale.limit) * (limit - u), np.sign(scale.limit) * b, q, w, course, steps, rng)
+    sign = np.sign(scale.limit)
+    return _Paths(
+        sign * (limit - u), sign * b,
+        np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index]),
+        np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]),
+    )  # fmt: skip
 
 
 def _chosen(found: Particles, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -91,31 +105,37 @@ def newest_levels(
     index = _chosen(best, n, rng)
     at, slope = bent(np.array(newest), best.column("bend", 0.0)[index], scale)
     u = best.state.u[index] + np.sqrt(np.maximum(best.state.uu[index], 0.0)) * rng.standard_normal(n)
-    levels: FloatArray = newest + (u - at) / slope
+    levels: FloatArray = newest + (u - at) / np.exp(slope)
     return levels
 
 
-def _simulated(
-    gap: FloatArray,
-    b: FloatArray,
-    q: FloatArray,
-    w: FloatArray,
-    course: _Course,
-    steps: int,
-    rng: np.random.Generator,
-) -> FloatArray:
+def _simulated(paths: _Paths, steps: int, rng: np.random.Generator) -> FloatArray:
     """Follow paths until their gap to the limit is closed, with Brownian bridges between the steps."""
+    reached = np.where(paths.gap <= 0.0, 0.0, np.inf)
+    under_way = np.flatnonzero(paths.gap > 0.0)
+    paths = paths.at(under_way)
     edges = np.r_[0.0, np.geomspace(1e-4, FARTHEST, steps)]
-    reached = np.where(gap <= 0.0, 0.0, np.inf)
     for begin, end in pairwise(edges.tolist()):
-        dt = end - begin
-        step = b * course.at(0.5 * (begin + end)) * dt + q * np.sqrt(dt) * rng.standard_normal(len(gap))
-        b = b * np.exp(np.minimum(w * np.sqrt(dt) * rng.standard_normal(len(gap)), 3.0))
-        after = gap - step
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            touched = rng.uniform(size=len(gap)) < np.exp(-2.0 * gap * np.maximum(after, 0.0) / (q * q * dt))
-            fraction = np.where(after <= 0.0, gap / np.maximum(gap - after, 1e-300), 0.5)
-        hit = np.isinf(reached) & ((after <= 0.0) | touched)
-        reached = np.where(hit, begin + np.clip(fraction, 0.0, 1.0) * dt, reached)
-        gap = np.maximum(after, 1e-12)
+        paths, share = _onward(paths, begin, end, rng)
+        arrived = np.isfinite(share)
+        reached[under_way[arrived]] = begin + share[arrived] * (end - begin)
+        if arrived.any():
+            rest = np.flatnonzero(~arrived)
+            under_way, paths = under_way[rest], paths.at(rest)
     return reached
+
+
+def _onward(
+    paths: _Paths, begin: float, end: float, rng: np.random.Generator
+) -> tuple[_Paths, FloatArray]:
+    """Return paths at the end of a step, and at which share of it each arrived, inf where it did not."""
+    dt = end - begin
+    n = len(paths.gap)
+    gap, q = paths.gap, paths.walk
+    step = paths.rate * paths.faster(0.5 * (begin + end)) * dt + q * np.sqrt(dt) * rng.standard_normal(n)
+    rate = paths.rate * np.exp(np.minimum(paths.wander * np.sqrt(dt) * rng.standard_normal(n), 3.0))
+    after = gap - step
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        touched = rng.uniform(size=n) < np.exp(-2.0 * gap * np.maximum(after, 0.0) / (q * q * dt))
+        share = np.where(after <= 0.0, gap / np.maximum(step, 1e-300), np.where(touched, 0.5, np.inf))
+    return replace(paths, gap=np.maximum(after, 1e-12), rate=rate), share

@@ -13,10 +13,9 @@ from agent.prognosis.filter import State, Walk, moved, run_filter
 from agent.prognosis.prior import Prior
 from agent.types import FloatArray
 
-WIDE = 960
-"""Particles of one filter: fewer cost nearly as much; more take memory that a gateway may not have."""
-AT_ONCE = 20
-"""Readings whose numbers are made at once: of all 160 they took 12 MB while a forecast was made."""
+AT_ONCE = 24_000
+"""Readings, times particles, whose numbers are made at once: more leave the processor's cache (all took 12 MB
+of a gateway's memory), and of fewer the calls cost more than the numbers."""
 WITHIN = -40.0, 25.0
 """Logarithms that a proposal may reach; beyond, numbers overflow."""
 RUN_IN = 50.0
@@ -38,7 +37,7 @@ class Effort:
 
 
 FULL = Effort(160, 800, 6, 4000, 120)
-BRIEF = Effort(24, 320, 3, 600, 60)
+BRIEF = Effort(24, 320, 3, 600, 40)
 """For tables of many parts, a fifth of the cost: few means rather than few particles, which lose the law."""
 
 
@@ -86,12 +85,13 @@ class Particles:
 
 @dataclass(frozen=True, slots=True)
 class _Swarm:
-    """Particles of one member in one round: theta (N, d), log density when drawn, and later weights."""
+    """Particles of one member in one round: theta (N, d), log densities as drawn and of the prior, (N,)."""
 
     member: str
     names: tuple[str, ...]
     theta: FloatArray
     proposal: FloatArray
+    prior: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def posterior(
     members = [name for name in MEMBERS if prior.members.get(name, 0.0) > 0.0]
     swarms = [_first(prior, rng, name, effort.particles) for name in members]
     for round_ in range(effort.rounds):
-        weighed = _weigh(readings, scale, prior, swarms)
+        weighed = _weigh(readings, scale, swarms)
         if round_ + 1 < effort.rounds:
             swarms = [_next(one, prior, rng) for one in weighed]
     return [_particles(one, prior) for one in weighed]
@@ -119,7 +119,8 @@ def posterior(
 def _first(prior: Prior, rng: np.random.Generator, member: str, count: int) -> _Swarm:
     names = (*COMMON, *(("life",) if "life" in prior.of else ()), *SHAPES[member])
     theta = prior.draw(rng, names, count)
-    return _Swarm(member, names, theta, prior.log_density(names, theta))
+    density = prior.log_density(names, theta)
+    return _Swarm(member, names, theta, density, density)
 
 
 def _next(found: _Weighed, prior: Prior, rng: np.random.Generator) -> _Swarm:
@@ -129,16 +130,12 @@ def _next(found: _Weighed, prior: Prior, rng: np.random.Generator) -> _Swarm:
     )  # fmt: skip
 
 
-def _weigh(readings: Readings, scale: Scale, prior: Prior, swarms: list[_Swarm]) -> list[_Weighed]:
-    """Return swarms with their weights; as many go through one filter as are as quick as one."""
-    width = max(1, WIDE // max(1, len(swarms[0].theta))) if swarms else 1
+def _weigh(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> list[_Weighed]:
+    """Return swarms with their weights; one filter takes the particles of all."""
     weighed = []
-    for first in range(0, len(swarms), width):
-        group = swarms[first : first + width]
-        for swarm, (state, likelihood) in zip(group, filtered(readings, scale, group), strict=True):
-            target = prior.log_density(swarm.names, swarm.theta)
-            log_weight = np.where(np.isfinite(likelihood), likelihood + target - swarm.proposal, -np.inf)
-            weighed.append(_Weighed(swarm, log_weight, state))
+    for swarm, (state, likelihood) in zip(swarms, filtered(readings, scale, swarms), strict=True):
+        weight = likelihood + swarm.prior - swarm.proposal
+        weighed.append(_Weighed(swarm, np.where(np.isfinite(likelihood), weight, -np.inf), state))
     return weighed
 
 
@@ -153,8 +150,11 @@ def _particles(found: _Weighed, prior: Prior) -> Particles:
 
 def _proposed(
     theta: FloatArray, log_weight: FloatArray, prior: Prior, names: tuple[str, ...], rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Return new particles of a t density about the old ones, a fifth from the prior, and log densities."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return new particles of a t density about the old ones, a fifth from the prior, and log densities.
+
+    The densities are (N,): that of which they were drawn, and the prior's.
+    """
     n, d = theta.shape
     weight = tempered(log_weight, min(40.0 + 5.0 * d, COUNTED * n))
     mean = weight @ theta
@@ -174,7 +174,8 @@ def _proposed(
         - 0.5 * (dof + d) * np.log1p(square / dof)
     )
     share = fresh / n
-    return drawn, np.logaddexp(np.log(1 - share) + local, np.log(share) + prior.log_density(names, drawn))
+    density = prior.log_density(names, drawn)
+    return drawn, np.logaddexp(np.log(1 - share) + local, np.log(share) + density), density
 
 
 def _student_constant(d: int, dof: float) -> float:
@@ -198,86 +199,74 @@ def tempered(log_weight: FloatArray, least: float) -> FloatArray:
 
 def filtered(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> list[tuple[State, FloatArray]]:
     """Return states at the newest reading and log likelihoods of each swarm's particles, from one filter."""
-    columns = [_columns(readings, scale, swarm) for swarm in swarms]
-    slopes = [np.zeros(len(swarm.theta)) for swarm in swarms]
-    first = (_seen(readings, scale, column, slice(1))[0][0] for column in columns)
-    state = _joined([_start(readings, u, column) for u, column in zip(first, columns, strict=True)])
-    likelihood = np.zeros(len(state.u))
-    for row in range(0, len(readings.t), AT_ONCE):
-        seen = [_seen(readings, scale, column, slice(row, row + AT_ONCE)) for column in columns]
-        t = readings.t[max(row - 1, 0) : row + AT_ONCE]
-        walk = _beside([_walk(t, readings, *one) for one in zip(swarms, columns, strict=True)])
+    column = _columns(readings, scale, swarms)
+    state = _start(readings, _seen(readings, scale, swarms, column, slice(1))[0][0], column)
+    likelihood = slopes = np.zeros(len(state.u))
+    rows = max(1, AT_ONCE // len(state.u))
+    for row in range(0, len(readings.t), rows):
+        u, variance, slope = _seen(readings, scale, swarms, column, slice(row, row + rows))
+        walk = _walk(readings.t[max(row - 1, 0) : row + rows], readings, swarms, column)
         if row > 0:
             state = moved(state, walk, 0)
             walk = walk.after(1)
-        u, variance = (np.concatenate([one[k] for one in seen], axis=1) for k in range(2))
         state, likelihood = run_filter(u, variance, walk, state, likelihood)
-        slopes = [_summed(total, np.log(slope)) for total, (_, _, slope) in zip(slopes, seen, strict=True)]
-    return _apart(state, likelihood, slopes)
+        # row by row, so that the sum does not depend on how many rows are made at once
+        slopes = np.add.reduce([slopes, *slope])
+    return [
+        (State(*(cells[mine] for cells in state)), likelihood[mine] + slopes[mine])
+        for mine in _places(swarms)
+    ]
 
 
-def _summed(total: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return a sum that rows (n, N) are added to one by one, so that it does not depend on their division."""
-    summed: FloatArray = np.add.reduce([total, *rows])
-    return summed
+def _places(swarms: list[_Swarm]) -> list[slice]:
+    """Return where the particles of each swarm stand among those of all."""
+    ends = np.cumsum([len(swarm.theta) for swarm in swarms]).tolist()
+    return [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
 
 
-def _apart(state: State, likelihood: FloatArray, slopes: list[FloatArray]) -> list[tuple[State, FloatArray]]:
-    """Return what one filter found for the particles of each swarm, with the slopes' logarithms."""
-    ends = np.cumsum([len(slope) for slope in slopes])[:-1]
-    parts = [np.split(getattr(state, name), ends) for name in _STATE]
-    states = [State(*cells) for cells in zip(*parts, strict=True)]
-    return [(s, one + more) for s, one, more in zip(states, np.split(likelihood, ends), slopes, strict=True)]
-
-
-_STATE = ("u", "b", "uu", "ub", "bb")
-
-
-def _joined(states: list[State]) -> State:
-    return State(*(np.concatenate([getattr(state, name) for state in states]) for name in _STATE))
-
-
-def _beside(walks: list[Walk]) -> Walk:
-    names = ("h", "level", "rate", "cross")
-    return Walk(*(np.concatenate([getattr(walk, name) for walk in walks], axis=1) for name in names))
-
-
-def _columns(readings: Readings, scale: Scale, swarm: _Swarm) -> dict[str, FloatArray]:
-    """Return the parameters of a swarm by name, (N,) each."""
-    column = {name: np.clip(swarm.theta[:, index], *WITHIN) for index, name in enumerate(swarm.names)}
+def _columns(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> dict[str, FloatArray]:
+    """Return the parameters of all swarms' particles by name, (N,) each; 0 where a law has none of it."""
+    places = list(zip(swarms, _places(swarms), strict=True))
+    column = {"bend": np.zeros(places[-1][1].stop)}
+    for swarm, mine in places:
+        for name, cells in zip(swarm.names, swarm.theta.T, strict=True):
+            column.setdefault(name, np.zeros(places[-1][1].stop))[mine] = np.clip(cells, *WITHIN)
     if "life" in column:
-        bend = column.get("bend", np.zeros(len(swarm.theta)))
-        column["rate"] = np.log(life_way(bend, readings.way, scale)) - column["life"]
+        column["rate"] = np.log(life_way(column["bend"], readings.way, scale)) - column["life"]
     return column
 
 
 def _seen(
-    readings: Readings, scale: Scale, column: dict[str, FloatArray], rows: slice
+    readings: Readings, scale: Scale, swarms: list[_Swarm], column: dict[str, FloatArray], rows: slice
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return readings and their variances in the scale where each particle's law is a line, and its slope."""
-    bend = column.get("bend", np.zeros(len(column["walk"])))
+    """Return readings, their variances and ln(du/dz), (n, N), where each particle's law is a line."""
     smooth, sd = readings.smooth[rows, None], readings.sd[rows, None]
-    u, slope = bent(smooth, bend, scale)
-    u = u + slope * (readings.z[rows, None] - smooth)
-    return u, slope**2 * (sd**2 + np.exp(2.0 * column["scatter"])), slope
+    u, log_slope = np.empty((2, len(smooth), len(column["bend"])))
+    for swarm, mine in zip(swarms, _places(swarms), strict=True):
+        bend = column["bend"][mine] if "bend" in swarm.names else np.zeros(1)
+        u[:, mine], log_slope[:, mine] = bent(smooth, bend, scale)
+    slope = np.exp(log_slope)
+    u += slope * (readings.z[rows, None] - smooth)
+    return u, slope**2 * (sd**2 + np.exp(2.0 * column["scatter"])), log_slope
 
 
-def _walk(t: FloatArray, readings: Readings, swarm: _Swarm, column: dict[str, FloatArray]) -> Walk:
+def _walk(t: FloatArray, readings: Readings, swarms: list[_Swarm], column: dict[str, FloatArray]) -> Walk:
     """Return the steps between instants t (n,) of some of the readings."""
-    member = swarm.member
-    count = len(swarm.theta)
-    shape = (
-        np.column_stack([column[name] for name in SHAPES[member]]) if SHAPES[member] else np.zeros((count, 0))
-    )
-    h = np.diff(progress(t, member, shape), axis=0)
     dt = np.diff(t)[:, None]
-    usual = np.exp(column["rate"]) if "rate" in column else readings.usual
-    rate = np.broadcast_to((np.exp(column["wander"]) * usual) ** 2, h.shape)
-    if "run_in" in column:
-        rate = np.where(t[1:, None] < instant(column["run_in"]), (RUN_IN * usual) ** 2, rate)
-    return Walk(
-        h, np.exp(2.0 * column["walk"]) * dt + rate * h * h * dt / 3.0, rate * dt, rate * h * dt / 2.0
-    )
+    usual = np.exp(column["rate"]) if "rate" in column else np.full(len(column["walk"]), readings.usual)
+    h = np.empty((len(dt), len(usual)))
+    rate = np.empty_like(h)
+    rate[:] = (np.exp(column["wander"]) * usual) ** 2
+    for swarm, mine in zip(swarms, _places(swarms), strict=True):
+        names = SHAPES[swarm.member]
+        shape = np.column_stack([column[name][mine] for name in names]) if names else swarm.theta[:, :0]
+        h[:, mine] = np.diff(progress(t, swarm.member, shape), axis=0)
+        if "run_in" in names:
+            running_in = t[1:, None] < instant(column["run_in"][mine])
+            rate[:, mine] = np.where(running_in, (RUN_IN * usual[mine]) ** 2, rate[:, mine])
+    rate *= dt
+    cross = rate * h
+    return Walk(h, np.exp(2.0 * column["walk"]) * dt + cross * h / 3.0, rate, cross / 2.0)
 
 
 def _start(readings: Readings, u: FloatArray, column: dict[str, FloatArray]) -> State:

@@ -241,14 +241,20 @@ def _bare(entry: tuple[str, str | None] | None) -> tuple[str, ...]:
     return () if entry is None else (entry[0], "".join((entry[1] or "").split()))
 
 
+@cache
+def _own() -> dict[tuple[str, str], tuple[tuple[str, str | None], tuple[str, ...]]]:
+    """Return the own schema beside its entries without spaces: every connection is compared with it."""
+    return {place: (entry, _bare(entry)) for place, entry in own_schema().items()}
+
+
 def strange_schema(connection: sqlite3.Connection) -> list[str]:
     """Return in words what of a file's schema is not this program's own text; none of it is executed.
 
     Tables, indexes and views of others are left alone, but for those that stand in for what our views call.
     """
     found = _schema(connection)
-    words = [f"the text of {kind} {name} is not its own" for (kind, name), own in own_schema().items()
-             if _bare(found.get((kind, name))) != _bare(own)]  # fmt: skip
+    words = [f"the text of {kind} {name} is not its own" for (kind, name), (own, bare) in _own().items()
+             if found.get((kind, name)) != own and _bare(found.get((kind, name))) != bare]  # fmt: skip
     others = (name for kind, name in found if kind == "trigger" or name.lower() in _CALLED)
     return words + [f"{name} does not belong there" for name in others]
 

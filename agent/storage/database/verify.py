@@ -3,6 +3,8 @@
 
 import sqlite3
 from collections.abc import Collection, Sequence
+from itertools import repeat
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -58,7 +60,7 @@ def _numbers_right(table: str, cells: Sequence[Collection[Any]]) -> NDArray[np.b
 
 def _reals(column: Collection[Any]) -> NDArray[np.float64]:
     """Return a column of reals or None; the columns that most rows leave empty take no time."""
-    empty = all(cell is None for cell in column)
+    empty = all(map(is_, column, repeat(None)))
     return np.full(len(column), np.nan) if empty else np.array(column, dtype=np.float64)
 
 

@@ -256,3 +256,19 @@ def test_forecast_takes_little_memory_beside_what_an_agent_has(rng: np.random.Ge
     figure(f"most memory while a forecast is made: {peak:.1f} MB")
     assert len(made.passages)
     assert peak < 5.0
+
+
+@pytest.mark.parametrize("repaired", [False, True])
+def test_lives_of_like_machines_end_where_their_level_passes_the_limit(
+    rng: np.random.Generator, repaired: bool
+) -> None:
+    """The first row beyond it is early by the rows' scatter, here by a fifteenth."""
+    t = np.arange(0.0, 130.0, 0.25)
+    level = 100.0 - 30.0 * (1.0 - np.exp(-t / 100.0))  # 80 at 110, where it falls by 0.1 a day
+    rows = [level + 0.5 * rng.standard_normal(len(t)) for _ in range(8)]
+    after = np.full(20, 100.0) if repaired else np.empty(0)
+    instants = np.r_[t, 130.0 + np.arange(len(after))]
+    histories = [History(instants, np.r_[value, after], np.zeros(len(instants))) for value in rows]
+    assert np.mean([t[np.flatnonzero(value <= 80.0)[0]] for value in rows]) < 104.0
+    life, *_ = learn_from(histories, 80.0).of["life"]
+    assert np.exp(life) == pytest.approx(110.0, rel=0.02)

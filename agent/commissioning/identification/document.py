@@ -35,7 +35,14 @@ def _row(found: Found, i: int) -> dict[str, Any]:
         "value": value, "sd": sd, "sd_repeat": float(found.pooled.sd_repeat[i]), "lower": value - T975 * sd,
         "upper": value + T975 * sd, "unit": found.rig.parameters[i].unit, "identifiable": why is None,
         "why": why,
+        "other": _other(found, i),
     }  # fmt: skip
+
+
+def _other(found: Found, i: int) -> float | None:
+    """Return the parameter's value in another solution that explains as much; None where there is none."""
+    rival = found.rival
+    return float(rival.theta[i]) if rival is not None and rival.differs[i] else None
 
 
 def _changes(rig: RigConfig, rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from agent.commissioning.identification.found import Found
+from agent.commissioning.identification.found import Found, Rival
 from agent.commissioning.identification.graph import mechanics
 from agent.config import MechanicsModel, RigConfig
 from agent.errors import Fault
 from agent.numerics.identification.start import hidden
-from agent.text import percent
+from agent.text import percent, with_sd
 from agent.types import BoolArray
 
 UNEXPLAINED = 0.02
@@ -68,6 +68,8 @@ def _pulled(found: Found) -> str:
 
 def why_unknown(found: Found, i: int) -> str | None:
     """Return why a parameter is not known, and what would show it; None where it is."""
+    if found.rival is not None and found.rival.differs[i]:
+        return _either(found, found.rival, i)
     parameter, said = found.rig.parameters[i], found.pooled
     vague = (said.sd > VAGUE * np.abs(said.theta)) | _lines(found)
     if parameter.kind in ("bias", "gain") or not vague[i]:
@@ -84,6 +86,15 @@ def why_unknown(found: Found, i: int) -> str | None:
     return (
         f"unexcited: its part of the motion is too small; {way}record longer, or with more motion across it"
     )
+
+
+def _either(found: Found, rival: Rival, i: int) -> str:
+    """Say both values of a parameter that the recordings leave two of, and what would tell them apart."""
+    values = f"{with_sd(found.pooled.theta[i], found.pooled.sd[i])} or {with_sd(rival.theta[i], rival.sd[i])}"
+    others = ", ".join(p.name for j, p in enumerate(found.rig.parameters) if j != i and rival.differs[j])
+    together = f" (with {others})" if others else ""
+    way = f"measure the displacement of {rival.place}" if rival.place else "measure another displacement"
+    return f"two solutions explain the recordings alike: {values}{together}; {way}, or state one of them"
 
 
 def _lines(found: Found) -> BoolArray:

@@ -8,6 +8,20 @@ from agent.commissioning.explained import Explained
 from agent.config import RigConfig
 from agent.numerics.identification.pooled import Pooled
 from agent.numerics.model.uncertain import Constant
+from agent.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another solution that explains the recordings as well: values and sds (q,), which of them differ (q,).
+
+    place: the displacement that would tell the two apart; empty where none would.
+    """
+
+    theta: FloatArray
+    sd: FloatArray
+    differs: BoolArray
+    place: str
 
 
 @dataclass(frozen=True)
@@ -23,3 +37,4 @@ class Found:
     constants: tuple[Constant, ...]
     helpful: Mapping[int, str] = field(default_factory=dict)
     """Displacements that would show parameters that are not known, by the parameters' numbers."""
+    rival: Rival | None = None

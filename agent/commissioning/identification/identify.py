@@ -20,7 +20,7 @@ from agent.commissioning.identification.found import Found
 from agent.commissioning.identification.graph import require_motion_sensors, with_blanks
 from agent.commissioning.identification.join import joined
 from agent.commissioning.identification.material import material_of, read_records, recorded_span_s
-from agent.commissioning.identification.start import started, started_linear
+from agent.commissioning.identification.start import started_linear, starts
 from agent.commissioning.nominals import write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.recording_summary import Material
@@ -63,11 +63,11 @@ def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tup
     require_motion_sensors(blank)
     records = read_records(blank, recordings, progress)
     progress("solving the weak form")
-    begun = started(blank, records)
+    begun = starts(blank, records)
     if rig.model.friction:
         # the signs of velocities come from a model, which is now a better one
-        records = read_records(begun, recordings, progress)
-        begun = started(begun, records)
-    if faults := model_faults(begun, rig_model(begun)):
+        records = read_records(begun[0], recordings, progress)
+        begun = starts(begun[0], records)
+    if faults := model_faults(begun[0], rig_model(begun[0])):
         raise ModelError(faults)
-    return joined(begun, records, progress), recorded_span_s(records)
+    return joined(begun[0], records, progress, begun[1:]), recorded_span_s(records)

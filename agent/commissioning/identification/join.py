@@ -11,6 +11,7 @@ from agent.commissioning.explained import explained
 from agent.commissioning.identification.doubts import VAGUE, why_unknown
 from agent.commissioning.identification.found import Found
 from agent.commissioning.identification.material import noise_of_sensors
+from agent.commissioning.identification.rivals import rival_of
 from agent.commissioning.identification.windows import pool, window_length
 from agent.commissioning.nominals import with_nominals
 from agent.commissioning.progress import Progress
@@ -22,10 +23,16 @@ from agent.numerics.model.uncertain import Constant
 from agent.types import FloatArray
 
 
-def joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) -> Found:
-    """Estimate by all windows together, and run the result free through them."""
+def joined(
+    begun: RigConfig, records: Sequence[Recorded], progress: Progress, others: Sequence[RigConfig] = ()
+) -> Found:
+    """Estimate by all windows together, and run the result free through them.
+
+    others: starts that explain nearly as much; one that comes to as good an end elsewhere is kept as a rival.
+    """
     window = window_length(begun, records)
     said, config, count = pool(begun, records, window, progress)
+    rival = rival_of(config, records, window, said, others, progress)
     progress("running the model free")
     rig = rig_model(config)
     names = [parameter.name for parameter in rig.parameters]
@@ -33,7 +40,7 @@ def joined(begun: RigConfig, records: Sequence[Recorded], progress: Progress) ->
     constants = statistical_rig(config).constants
     noise = noise_of_sensors(config, records)
     seen = explained(_weighed(found, said, constants), said.theta, records, window, noise)
-    whole = Found(found, rig, said, window, count, seen, constants)
+    whole = Found(found, rig, said, window, count, seen, constants, rival=rival)
     return replace(whole, helpful=_helpful(whole, records[0], noise))
 
 

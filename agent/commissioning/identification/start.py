@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from agent.blocks.rig_model import rig_model
 from agent.commissioning.identification.graph import mechanics
 from agent.commissioning.identification.material import noise_of_sensors, pieces_of
@@ -11,7 +13,7 @@ from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.errors import ModelError, RecordingError
-from agent.numerics.identification.exact_response import refined
+from agent.numerics.identification.exact_response import other_minima, refined
 from agent.numerics.identification.response import fitted, measured
 from agent.numerics.identification.start import hidden, rests, start, still
 from agent.numerics.model.holds import straight
@@ -24,30 +26,41 @@ LEAST = 1e-4
 
 
 def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
-    """Return the configuration with the weak form's start for nominals. Raises ModelError, RecordingError."""
+    """Return the configuration with the best start for nominals. Raises ModelError, RecordingError."""
+    return starts(config, records)[0]
+
+
+def starts(config: RigConfig, records: Sequence[Recorded]) -> list[RigConfig]:
+    """Return the configuration with each start for nominals, the best first; others explain nearly as much.
+
+    Raises ModelError, RecordingError.
+    """
     model = mechanics(config)
     sigma = noise_of_sensors(config, records)
     pieces = pieces_of(records)
     _require_motion(model, pieces, sigma)
     begin = _from_response if hidden(model)[0] else _from_weak_form
-    found = begin(config, model, pieces, sigma)
-    return with_nominals(config, _positive(config, dict(zip(model.parameters, found.tolist(), strict=True))))
+    return [
+        with_nominals(config, _positive(config, dict(zip(model.parameters, theta.tolist(), strict=True))))
+        for theta in begin(config, model, pieces, sigma)
+    ]
 
 
 def _from_weak_form(
     config: RigConfig, model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]],
     sigma: FloatArray,
-) -> FloatArray:  # fmt: skip
-    return start(
+) -> list[FloatArray]:  # fmt: skip
+    found = start(
         model, pieces, 1.0 / config.rig.sample_rate_hz, sigma,
         straight=straight(config.estimator.hold) == "first", standing=any(c.bias for c in config.channel),
     )  # fmt: skip
+    return [found]
 
 
 def _from_response(
     config: RigConfig, model: MassSpringDamper, pieces: Sequence[tuple[FloatArray, FloatArray]],
     sigma: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> list[FloatArray]:  # fmt: skip
     hold = straight(config.estimator.hold)
     period_s = 1.0 / config.rig.sample_rate_hz
     seen = measured(pieces, period_s, sigma, straight=hold == "first")
@@ -57,7 +70,9 @@ def _from_response(
     minima = refined(
         model, pieces, period_s, sigma, fitted(model, seen), fastest=float(seen.omega[-1]), hold=hold
     )
-    return minima[0].theta
+    # damping is seen less well and tells no two apart
+    telling = np.array([config.parameters[name].kind != "damper" for name in model.parameters], dtype=bool)
+    return [minimum.theta for minimum in (minima[0], *other_minima(minima, telling))]
 
 
 def _require_motion(

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from agent.commissioning.identify import identify
+from agent.commissioning.identification.identify import identify
 from tests.figures import figure
 from tests.peers import ROOT, data
 from tests.replay.test_real_ecp210 import REFERENCE

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.commissioning.identify import identify
+from agent.commissioning.identification.identify import identify
 from tests.figures import figure
 from tests.statistical.unknown_machines import SPAN_S, accelerations, one_of_two, written
 

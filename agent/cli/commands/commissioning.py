@@ -31,7 +31,7 @@ def identify(
 ) -> None:
     """Find springs and dampers from recordings, no nominal needed; of linear models from their nominals."""
     from agent.cli.commissioning import identify as commands_identify
-    from agent.commissioning import identify as body
+    from agent.commissioning.identification import identify as body
 
     if graph:
         from agent.commissioning.graphs import choose

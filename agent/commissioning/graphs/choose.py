@@ -15,9 +15,22 @@ from typing import Any
 import numpy as np
 
 from agent.blocks.rig_model import rig_model
-from agent.commissioning import identify as whole
 from agent.commissioning.explained import Explained
 from agent.commissioning.graphs.saturated import KINDS, elective, saturated, stretched, without
+from agent.commissioning.identification.document import document_of
+from agent.commissioning.identification.doubts import LOOK_FOR
+from agent.commissioning.identification.found import Found
+from agent.commissioning.identification.graph import elements_of, require_motion_sensors, with_blanks
+from agent.commissioning.identification.join import joined
+from agent.commissioning.identification.material import (
+    SHORTEST,
+    material_of,
+    noise_of_sensors,
+    pieces_of,
+    read_records,
+)
+from agent.commissioning.identification.start import started
+from agent.commissioning.identification.windows import pool, window_length, windowed
 from agent.commissioning.nominals import with_nominals, write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
@@ -50,16 +63,16 @@ def choose(
     said = progress or on_terminal()
     rig = load(config, identified=True)
     try:
-        material = whole.material_of(recordings, probe_s)
+        material = material_of(recordings, probe_s)
         search = _Search.of(rig, material, said)
         answer = search.explained(material)
     except np.linalg.LinAlgError as error:
         raise ModelError.at(
-            "model", "no values of any graph's elements give this motion", whole.LOOK_FOR
+            "model", "no values of any graph's elements give this motion", LOOK_FOR
         ) from error
     finally:
         said("")
-    document = whole.document_of(answer.chosen, answer.found)
+    document = document_of(answer.chosen, answer.found)
     document["graph"] = _graphs(rig, answer.selector, answer.best, search.names)
     document["graph_changed"] = set(_elements(answer.chosen)) != set(_elements(rig))
     document["toml"] = _toml(answer.found.config) if document["graph_changed"] else []
@@ -104,15 +117,15 @@ class _Search:
         if not isinstance(rig.model, MechanicsModel):
             what = f'"{rig.model.kind}" has no graph to choose'
             raise UsageError.at("--graph", what, "leave --graph out: its elements are identified as they are")
-        blank = whole.with_blanks(rig)
-        whole.require_motion_sensors(blank)
-        records = whole.read_records(blank, recordings, progress)
+        blank = with_blanks(rig)
+        require_motion_sensors(blank)
+        records = read_records(blank, recordings, progress)
         progress("solving the weak form")
-        pieces = whole.pieces_of(records)
-        noise = whole.noise_of_sensors(blank, records)
+        pieces = pieces_of(records)
+        noise = noise_of_sensors(blank, records)
         full = stretched(saturated(rig), list(_elements(rig)), pieces, noise)
-        names = tuple(p.name for p in rig_model(whole.with_blanks(full)).parameters)
-        window = _window([blank, whole.with_blanks(full)], records)
+        names = tuple(p.name for p in rig_model(with_blanks(full)).parameters)
+        window = _window([blank, with_blanks(full)], records)
         return cls(rig, full, names, records, window, progress)
 
     def graph(self, choice: Choice) -> RigConfig:
@@ -159,15 +172,15 @@ class _Search:
 
     def _selector(self, graph: RigConfig) -> Selector:
         """Fit a graph, and return what weighs every element about that fit."""
-        begun = self._zeroed(whole.started(whole.with_blanks(graph), self.records))
-        said, config, _ = whole.pool(begun, self.records, self.window, self.progress)
+        begun = self._zeroed(started(with_blanks(graph), self.records))
+        said, config, _ = pool(begun, self.records, self.window, self.progress)
         here = dict(zip((p.name for p in rig_model(config).parameters), said.theta.tolist(), strict=True))
         self.progress("weighing every element that could be")
         values = dict.fromkeys(_elements(self.full), 0.0) | here
         point = with_nominals(
             self.full, {name: values[name] for name in _elements(self.full) if name in self.names}
         )
-        _, settings, windows = whole.windowed(point, self.records, self.window)
+        _, settings, windows = windowed(point, self.records, self.window)
         theta = np.array([here.get(name, 0.0) for name in self.names])
         costs, scatter = costs_of(settings.rig, windows, said, theta, settings.floor)
         return Selector(costs, elective(self.names, self.full), scatter)
@@ -194,11 +207,11 @@ class _Explained:
     selector: Selector
     best: Choice
     chosen: RigConfig
-    found: whole.Found
+    found: Found
 
     @property
     def is_good(self) -> bool:
-        return bool(whole.document_of(self.chosen, self.found)["ok"])
+        return bool(document_of(self.chosen, self.found)["ok"])
 
 
 def _window(configs: Sequence[RigConfig], records: Sequence[Recorded]) -> int:
@@ -207,31 +220,31 @@ def _window(configs: Sequence[RigConfig], records: Sequence[Recorded]) -> int:
     window = max(lengths)
     for config in configs:
         with suppress(np.linalg.LinAlgError):
-            window = whole.window_length(whole.started(config, records), records)
+            window = window_length(started(config, records), records)
             break
-    while sum(length // window for length in lengths) < LEAST_WINDOWS and window >= whole.SHORTEST:
+    while sum(length // window for length in lengths) < LEAST_WINDOWS and window >= SHORTEST:
         window = int(0.9 * window)
-    if window < whole.SHORTEST:
-        what = f"they hold fewer than {LEAST_WINDOWS} windows of {whole.SHORTEST} samples"
+    if window < SHORTEST:
+        what = f"they hold fewer than {LEAST_WINDOWS} windows of {SHORTEST} samples"
         raise RecordingError.at("", what, "record longer: a graph is chosen by how much windows agree")
     return window
 
 
 def _identified(
     chosen: RigConfig, records: Sequence[Recorded], recordings: Material, progress: Progress
-) -> whole.Found:
+) -> Found:
     progress("identifying the chosen graph")
-    begun = whole.started(whole.with_blanks(chosen), records)
+    begun = started(with_blanks(chosen), records)
     if getattr(chosen.model, "friction", ()):
-        records = whole.read_records(begun, recordings, progress)
-        begun = whole.started(begun, records)
+        records = read_records(begun, recordings, progress)
+        begun = started(begun, records)
     if faults := model_faults(begun, rig_model(begun)):
         raise ModelError([Fault(f.path, f"the graph chosen: {f.message}", f.advice) for f in faults])
-    return whole.joined(begun, records, progress)
+    return joined(begun, records, progress)
 
 
 def _elements(config: RigConfig) -> dict[str, Any]:
-    return {element.name: element for element in whole.elements_of(config.model)}
+    return {element.name: element for element in elements_of(config.model)}
 
 
 def _absent(names: Sequence[str], choice: Choice) -> list[str]:

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.commissioning.identify import elements_of, mechanics, with_blanks
+from agent.commissioning.identification.graph import elements_of, mechanics, with_blanks
 from agent.config import MechanicsModel, RigConfig
 from agent.config.model.tables import GROUND, Element
 from agent.numerics.identification.start import still

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.excitation.design import responses
+from agent.numerics.identification.response import ALIKE
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.statespace import Discrete, Hold, discretise
-from agent.types import ComplexArray, FloatArray
+from agent.types import BoolArray, ComplexArray, FloatArray
 
 LONGEST, MOST_PIECES = 16_384, 6
 """Samples of a piece and number of pieces at most: the start of an estimate needs no more."""
@@ -26,6 +27,9 @@ FIRST_STEPS, FINALISTS = 5, 2
 """Steps after which the starts are compared, and how many of them go on."""
 MOST_ROUNDS, RESTS_SHARE, HOPELESS = 20, 1e-2, 1e6
 NEIGHBOURS = 15
+NEARLY = 3.0
+"""Logarithm of the errors' power by which another minimum may leave more: masses a few percent off leave as
+much of the right one."""
 STRETCH, VAGUE = 0.7, 3.0
 """Logarithms: by how much a step changes a parameter at most, and how well it is known before (an sd)."""
 
@@ -73,6 +77,17 @@ def refined(
     ways = [fitting.fitted(phi, MOST_ROUNDS) for _, phi in nearer[:FINALISTS]]
     count = sum(piece.Y.size for piece in chosen)
     return [Minimum(cost / count, np.exp(phi)) for cost, phi in sorted(ways, key=lambda way: way[0])]
+
+
+def other_minima(minima: Sequence[Minimum], telling: BoolArray) -> list[Minimum]:
+    """Return minima that are not the first: apart in what is telling (q,), and leaving nearly as little."""
+    first = minima[0]
+    return [
+        found
+        for found in minima[1:]
+        if found.cost < first.cost + NEARLY
+        and np.abs(np.log(found.theta / first.theta))[telling].max(initial=0.0) > ALIKE
+    ]
 
 
 def _piece(y: FloatArray, u: FloatArray, period_s: float, sigma: FloatArray, fastest: float) -> _Piece:

@@ -9,25 +9,26 @@ once, so what these leave open is averaged by no number of windows. Gauss-Newton
 sum rests.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.numerics.identification.first_noise import Progress, first_noise
 from agent.numerics.inference.learner import Learner
-from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.inference.noise import NoiseFit, Ridge
+from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.model.uncertain import Rig
 from agent.types import BoolArray, FloatArray, IntArray
 
-TAUGHT = 3
-"""Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
 FARTHEST = 10.0
 """Standard deviations of its data sheet that a constant may move: beyond, the graph does not fit."""
 MOST_STEPS, RESTS_SD = 8, 0.05
 """Steps, and the step in standard deviations at which they end."""
-Progress = Callable[[str], None]
+HELD = 1e12
+"""Prior precision, in relative units, of what stays at its point while likelihoods are compared."""
 
 
 @dataclass
@@ -67,7 +68,6 @@ class Pooled:
         correlation: (q, q).
         eta: (c,) logarithms of masses and gains, over what is configured.
         scatter: how many times more the windows differ than they should, as a variance.
-        taught: what the windows that the noise was learnt from said.
         restless: (q,) parameters that had not come to rest when the steps were over.
         known: what was learnt of the noise, at the point.
     """
@@ -78,7 +78,6 @@ class Pooled:
     correlation: FloatArray
     eta: FloatArray
     scatter: float
-    taught: tuple[Posterior, ...]
     restless: BoolArray
     known: Knowledge
 
@@ -101,13 +100,33 @@ def pooled(
     progress: is called with words for how far it is.
     """
     learner = Learner(rig, windows[0].length, len(sigma), floor)
-    known = learner.prior(sigma, spread)
-    taught = []
-    for number, window in enumerate(_spread_out(windows)):
-        progress(f"learning the noise: window {number + 1} of {min(TAUGHT, len(windows))}")
-        posterior, known = learner.learn(window, known, believe=True)
-        taught.append(posterior)
+    known = first_noise(learner, windows, sigma, spread, progress)
     known = replace(known, eta=np.zeros(len(rig.constants)))
+    return _descended(learner, windows, known, progress)
+
+
+def another(
+    rig: Rig,
+    windows: Sequence[Window],
+    said: Pooled,
+    theta: FloatArray,
+    floor: FloatArray,
+    progress: Progress,
+) -> tuple[Pooled, float]:
+    """Return where the sum comes to rest from theta (q,) under the same noise, and the evidence for that.
+
+    Evidence is a log likelihood against that of `said`, over the ratio by which windows differ too much.
+    """
+    learner = Learner(rig, windows[0].length, len(floor), floor)
+    eta = np.zeros(len(rig.constants))
+    there = _descended(learner, windows, replace(said.known, theta=theta, eta=eta), progress)
+    gain = _log_likelihood(learner, windows, there.known) - _log_likelihood(learner, windows, said.known)
+    return there, gain / max(said.scatter, there.scatter)
+
+
+def _descended(learner: Learner, windows: Sequence[Window], known: Knowledge, progress: Progress) -> Pooled:
+    """Return what the sum of windows says where it comes to rest."""
+    rig = learner.rig
     farthest = FARTHEST * np.array([constant.sheet for constant in rig.constants])
     for step in range(MOST_STEPS):
         progress(f"joining {len(windows)} windows, step {step + 1}")
@@ -122,7 +141,21 @@ def pooled(
         restless = np.abs(moved) > RESTS_SD * unit * np.sqrt(np.diag(found.covariance)[: rig.q])
         if not restless.any():
             break
-    return found.said(known, tuple(taught), restless)
+    return found.said(known, restless)
+
+
+def _log_likelihood(learner: Learner, windows: Sequence[Window], known: Knowledge) -> float:
+    """Return the log posterior density of the point: initial states free, data sheets counted once."""
+    sheet = np.array([max(constant.sheet, 1e-6) for constant in learner.rig.constants])
+    total = -0.5 * float(np.sum((known.eta / sheet) ** 2))
+    for window in windows:
+        at = learner.at_point(window, known)
+        R, b = at.ridge.R.copy(), np.zeros_like(at.ridge.b)
+        for held in (at.regression.layout.psi, at.regression.layout.xi):
+            R[held, held] = HELD * np.eye(held.stop - held.start)
+        fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, Ridge(R, b))
+        total += fit.restricted_log_likelihood()
+    return total
 
 
 def costs_of(
@@ -135,11 +168,6 @@ def costs_of(
     learner = Learner(rig, windows[0].length, len(floor), floor)
     found = _Sum.of(learner, windows, replace(said.known, theta=theta))
     return found.costs, found.scatter
-
-
-def _spread_out(windows: Sequence[Window]) -> list[Window]:
-    chosen = np.unique(np.linspace(0, len(windows) - 1, min(TAUGHT, len(windows))).round().astype(int))
-    return [windows[i] for i in chosen.tolist()]
 
 
 def _bounded(step: FloatArray, theta: FloatArray) -> FloatArray:
@@ -188,7 +216,7 @@ class _Sum:
         scatter = max(1.0, total / (q * max(len(said) - 1, 1)))
         return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter, costs)
 
-    def said(self, known: Knowledge, taught: tuple[Posterior, ...], restless: BoolArray) -> Pooled:
+    def said(self, known: Knowledge, restless: BoolArray) -> Pooled:
         q = len(self.unit)
         own = self.scatter * self.given
         whole = self.covariance[:q, :q] + (self.scatter - 1.0) * self.given
@@ -196,5 +224,5 @@ class _Sum:
         return Pooled(
             known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)),
             whole / np.outer(sd, sd),
-            known.eta, self.scatter, taught, restless, known,
+            known.eta, self.scatter, restless, known,
         )  # fmt: skip

@@ -167,6 +167,29 @@ def test_spring_that_drowns_is_named_and_so_is_the_sensor_that_would_show_it(
     assert {change["parameter"] for change in document["changes"]} == {"k1", "B1"}
 
 
+def test_branches_that_may_change_places_have_both_solutions_and_the_sensor_that_tells(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rng, sensors = np.random.default_rng(4), (("displacement", 1),)
+    # two equal masses hang on the one that is pushed and measured: nothing says which spring holds which
+    k, B = np.array([900.0, 200.0, 500.0]), np.array([4.0, 1.0, 2.5])
+    one = Machine(np.array([4.0, 1.0, 1.0]), ((0, 1), (1, 2), (1, 3)), k, B, (1,))
+    columns = recorded(one, rng, 1e-3, span_s=20.0, sensors=sensors)
+    config, recording = files(tmp_path, columns, configuration(one, columns, one.masses, sensors=sensors))
+    code, out, err = run(["identify", config, recording, "--json"], capfd)
+    assert code == 0, err
+    document = json.loads(out)
+    for name, other in (("k2", "k3"), ("k3", "k2"), ("B2", "B3"), ("B3", "B2")):
+        row = document["parameters"][name]
+        assert not row["identifiable"]
+        assert "explain the recordings alike" in row["why"]
+        assert "measure the displacement of m" in row["why"]
+        both = sorted([row["value"], row["other"]])
+        assert both == pytest.approx(sorted([one.truth[name], one.truth[other]]), rel=0.05)
+    assert document["parameters"]["k1"]["identifiable"]
+    assert {change["parameter"] for change in document["changes"]} == {"k1", "B1"}
+
+
 def test_spring_that_nothing_stretches_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     rest = np.random.default_rng(1).normal(size=len(COLUMNS["t"]))
     text = TEXT.replace("mass = [", 'mass = [{ name = "m3", value = 1.0 }, ').replace(

@@ -1,0 +1,1 @@
+"""What a machine's springs and dampers are, from recordings of it."""

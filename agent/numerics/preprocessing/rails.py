@@ -36,9 +36,15 @@ ENTRY = PLATEAU + BRAKED_OVER + 1
 REST = 0.5
 """An input that is at one value for so much of the time rests there."""
 
+ROUNDING = 1e-9
+"""Share of a reading up to which differences are rounding: 30 bits, more than a sensor has."""
+
 
 class Top(NamedTuple):
-    """A flat top (side 1) or bottom (side 0): its value, and how far the motion before would have gone."""
+    """A flat top (side 1) or bottom (side 0): its value, and how far the motion before would have gone.
+
+    beyond: in steps of the wire about it, or sds of the noise.
+    """
 
     side: int
     value: float
@@ -107,7 +113,7 @@ class Rails:
             self._times[place] = self._there[place] = self._since[place] = 0
         self._times[place] += 1
         is_extreme = abs(top.value - ends[top.side]) <= 0.5 * grain and not self._inputs[channel]
-        is_end = self._times[place] > 1 or (is_extreme and top.beyond > SURE * grain)
+        is_end = self._times[place] > 1 or (is_extreme and top.beyond > SURE)
         return bool(is_end) and not self.rests(channel, top.value, grain)
 
     def _is_held(self, channel: int, side: int, x: FloatArray, grain: float) -> bool:
@@ -128,10 +134,28 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
         if count < PLATEAU or start < BRAKED_OVER + 2 or start + PLATEAU <= ENTRY:
             continue
         side = int(x[start] > x[start - 1])
-        speed = unbraked((1 if side else -1) * np.diff(x[start - BRAKED_OVER - 2 : start]), grain)
-        if speed * count > OVERSHOOT * grain:
-            found.append(Top(side, float(x[start]), float(speed * count)))
+        here = max(grain, resolution(x[np.abs(x - x[start]) <= abs(x[start] - x[start - 2])]))
+        speed = unbraked((1 if side else -1) * np.diff(x[start - BRAKED_OVER - 2 : start]), here)
+        if speed * count > OVERSHOOT * here:
+            found.append(Top(side, float(x[start]), float(speed * count / here)))
     return found
+
+
+def resolution(x: FloatArray) -> float:
+    """Return the greatest common divisor of the differences between readings x, their step where they stand.
+
+    Text of few digits, and floats of few bits, have steps that grow with what they say: the least step seen
+    anywhere is a tenth or a hundredth of the one at an extreme. 0.0 where no two readings differ.
+    """
+    apart = np.diff(np.unique(x))
+    rounding = ROUNDING * float(np.abs(x).max(initial=0.0))
+    apart = apart[apart > rounding]
+    divisor = 0.0
+    while len(apart):  # Euclid's algorithm
+        divisor = float(apart.min())
+        rest = np.abs(apart - divisor * np.round(apart / divisor))
+        apart = rest[rest > rounding]
+    return divisor
 
 
 def unbraked(steps: FloatArray, grain: float) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
+from agent.numerics.preprocessing.rails import resolution
 from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch
 from tests.unit.numerics.rigs import FloatArray, noisy, record, sampled
 
@@ -57,6 +58,46 @@ def test_watch_of_a_channel_of_16_bits_that_halts_at_a_peak_finds_nothing(seed: 
 @pytest.mark.soak
 def test_watch_of_channels_of_16_bits_finds_nothing_in_200_runs() -> None:
     assert [seed for seed in range(200) if of_16_bits(seed)] == []
+
+
+def slow(seed: int, samples: int = 12_000) -> FloatArray:
+    """Channels of unit spread that need some 200 samples from turn to turn, the outputs with 0.3 % of noise."""
+    rng = np.random.default_rng(seed)
+    b, a = butter(2, 0.004)
+    v = lfilter(b, a, rng.standard_normal((samples + 4000, 3)), axis=0)[4000:]
+    v /= v.std(axis=0)
+    v[:, :2] += 3e-3 * rng.standard_normal((samples, 2))
+    return v
+
+
+def of_digits(v: FloatArray, count: int) -> FloatArray:
+    """Readings as a table of so many significant digits gives them: their step grows with what they say."""
+    step = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(v), 1e-300))) - count + 1)
+    return np.round(v / step) * step
+
+
+@pytest.mark.parametrize(("seed", "count"), [(3, 3), (5, 3), (9, 3), (7, 2)])
+def test_watch_of_readings_of_few_digits_finds_nothing(seed: int, count: int) -> None:
+    assert watch(of_digits(slow(seed), count)) == []
+
+
+@pytest.mark.parametrize("count", [4, 5])
+def test_watch_names_a_clipped_channel_of_few_digits(count: int) -> None:
+    v = slow(0)
+    v[:, 0] = np.clip(v[:, 0], -0.7, 0.7)
+    found = watch(of_digits(v, count))
+    assert {f.channel for f in found} == {0}
+    assert "saturated" in {f.kind for f in found}
+
+
+@pytest.mark.parametrize(
+    ("readings", "step"),
+    [([1.23, 1.25, 1.28], 0.01), ([0.998, 1.0, 1.01], 0.002), ([5.0, 5.0], 0.0), ([], 0.0), ([0.3, 0.7], 0.4)],
+)
+def test_resolution_of_readings_is_what_divides_all_their_differences(
+    readings: list[float], step: float
+) -> None:
+    assert resolution(np.array(readings)) == pytest.approx(step, rel=1e-6)
 
 
 @pytest.mark.parametrize("play", [smooth, white])

@@ -20,7 +20,7 @@ samples | in which the least force assumed on a free mass moves an output by a s
 ROWS = 16
 CELL_TARGET = 25
 CHUNK = 4096
-BATCH = 1280
+BATCH = 2560
 GROUP = 8
 SPARE = 4096
 RENEWED = 2

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from agent.blocks.sensor_labels import Labelled, Piece, SensorLabels
 from agent.numerics.preprocessing.cleaning import Clean, Cleaner
+from agent.numerics.preprocessing.rows import rows_with
 from agent.numerics.preprocessing.sensor_watch import SensorWatch
 from agent.types import FloatArray, IntArray
 
@@ -151,7 +152,7 @@ class Quality:
             return Labelled()
         self._open = False
         clean = self._cleaner.take(np.zeros((0, len(self.settings.channels))), end=True)
-        complete = np.flatnonzero(~clean.missing.any(axis=1))
+        complete = np.flatnonzero(~rows_with(clean.missing))
         self._count_spikes(clean)
         pieces = self._label(clean.part(int(complete[-1]) + 1 if len(complete) else 0))
         self._index, self._t_ns = self._index[:0], self._t_ns[:0]
@@ -164,7 +165,7 @@ class Quality:
     def _count_spikes(self, clean: Clean) -> None:
         """Count the samples that a spike alone spoils: those that also lack a reading count as that."""
         lost = clean.missing & ~clean.spike
-        spikes = int((clean.spike.any(axis=1) & ~lost.any(axis=1)).sum())
+        spikes = int((rows_with(clean.spike) & ~rows_with(lost)).sum())
         if spikes:
             self.rejected["spike"] += spikes
 
@@ -184,5 +185,5 @@ class Quality:
 
 def _first_complete(missing: NDArray[np.bool_], start: int) -> int:
     """Return the first row from `start` on that lacks no reading; as many as rows if none."""
-    complete = ~missing[start:].any(axis=1)
+    complete = ~rows_with(missing[start:])
     return start + int(np.argmax(complete)) if complete.any() else len(missing)

@@ -18,6 +18,7 @@ from agent.blocks.acquisition.interface import (
     SourceState,
     Through,
 )
+from agent.numerics.preprocessing.rows import rows_with
 from agent.types import Aligned, BoolArray, FloatArray, IntArray
 from drivers.port import SampleBlock
 
@@ -59,7 +60,7 @@ class SingleSource(Acquisition):
     ) -> Acquired:
         index, values, stamps = intake(self._state, block, modulus)
         if not self._keep_incomplete:
-            finite = np.isfinite(values).all(axis=1)
+            finite = ~rows_with(~np.isfinite(values))
             index, values, stamps = index[finite], values[finite], None if stamps is None else stamps[finite]
         self._state.passed += len(index)
         pieces = [self._numbered(*piece) for piece in uninterrupted(index, values[:, self._order], stamps)]
@@ -93,11 +94,11 @@ def intake(
     state.indexer.modulus = modulus
     index, kept = state.indexer.take(block)
     values = _to_si(state.plan, block.values)
-    possible = np.abs(values) <= LARGEST
-    sound = possible.all(axis=1)
+    impossible = ~(np.abs(values) <= LARGEST)
+    sound = ~rows_with(impossible)
     _refuse_values(state, block.values, values, kept & ~sound)
     _count_gaps(state, index[kept & sound])
-    values[~possible] = np.nan
+    values[impossible] = np.nan
     return index[kept], values[kept], None if block.t_ns is None else block.t_ns[kept]
 
 

@@ -14,7 +14,11 @@ from agent.numerics.window.stream import Stream
 
 UNITS_LEAST = 32
 UNITS_MOST = 2560
-"""Hops that the bank is given at once: few after the operating point moved, which throws the rest away."""
+UNITS_GROWTH = 4
+"""Hops that the bank is given at once: few after the operating point moved, which throws the rest away, then
+so many times more; a call costs as much as 125 hops."""
+UNITS_WAIT = 320
+"""Hops that wait until the window before them was learnt from: of two or three, one moves the point."""
 DULLED = 1.05
 """Growth of the sharpest sd seen each time the operating point moves: it follows what the machine does."""
 
@@ -83,21 +87,26 @@ class Bank:
         self._fed = self._lost_fed = first
         self._units = UNITS_LEAST
 
-    def next(self, record: Record) -> BankRows | None:
-        """Feed some hops and return the rows they end; None where no sample waits."""
+    def next(self, record: Record, due: int) -> BankRows | None:
+        """Feed some hops and return the rows they end; None where no sample waits.
+
+        due: sample whose row is learnt from next, which may move the point: many hops behind it wait.
+        """
         stream, plan = self._stream, self._settings.plan
         if stream is None or self.point is None:
             return None
         batch = stream.rows()
         if not len(batch.index):
             stop = min(record.stop, self._fed + self._units * plan.hop + plan.window)
+            if self._fed <= due < stop - UNITS_WAIT * plan.hop:
+                stop = -(-(due + 1) // plan.hop) * plan.hop
             if stop <= self._fed:
                 return None
             samples = record.samples_with_slopes if self.point.slopes else record.samples
             stream.extend(self._fed, samples(self._fed, stop), self._lost_until(record, stop))
             self._fed = stop
             batch = stream.rows()
-        self._units = min(2 * self._units, UNITS_MOST)
+        self._units = min(UNITS_GROWTH * self._units, UNITS_MOST)
         return batch
 
     def _lost_until(self, record: Record, stop: int) -> Lost:

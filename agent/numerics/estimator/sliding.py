@@ -138,7 +138,7 @@ class SlidingEstimator:
                 unexplained.lack(self._hollow(record, newest))
                 unexplained.stand_still(self._still(record, newest))
                 pieces.append(unexplained)
-        while (batch := self.explainer.bank.next(record)) is not None:
+        while (batch := self.explainer.bank.next(record, self.explainer.schedule.due)) is not None:
             pieces.append(self._settled(record, batch))
         record.trim(max(self.settings.windows) + plan.window + plan.hop + 1)
         return Outcome.joined([piece for piece in pieces if len(piece.index)], q)

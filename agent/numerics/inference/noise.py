@@ -427,19 +427,21 @@ class Scan:
         fit, nb, psi, pred = self.fit, self.fit.layout.base, self.fit.layout.psi, self.pred
         assert pred is not None  # noqa: S101 - only called where there is one
         near = int(np.argmin(np.abs(np.log(nodes) - np.log(fit.intensity[a]))))
-        use = np.union1d(np.flatnonzero(weight > 2e-3), [near])
-        M = grams[use][:, :nb, :nb] + pred.R
+        used = weight > 2e-3
+        used[near] = True
+        grams, weight = grams[used], weight[used]
+        M = grams[:, :nb, :nb] + pred.R
         at = self.ends
         # put, not added and taken away: before the first window the precision is 1e300 and would leave no
         # digit
-        M[:, at, at] = grams[use][:, at, at] + ends[use]
+        M[:, at, at] = grams[:, at, at] + ends[used]
         V = inverse(M)
-        delta = (V[:, psi] @ (grams[use][:, :nb, nb] + pred.b)[..., None])[..., 0]
+        delta = (V[:, psi] @ (grams[:, :nb, nb] + pred.b)[..., None])[..., 0]
         variance = V.diagonal(axis1=1, axis2=2)[:, psi]
-        w = weight[use] / weight[use].sum()
+        w = weight / weight.sum()
         mean = w @ delta
         total = w @ (variance + (delta - mean) ** 2)
-        return np.asarray(total / variance[list(use).index(near)] - 1)
+        return np.asarray(total / variance[np.count_nonzero(used[:near])] - 1)
 
     def _move(self, change: FloatArray) -> None:
         fit = self.fit

@@ -3,7 +3,7 @@
 | name | value | unit | what it does, and where the value comes from | |---|---|---|---| | ROWS | 16 | rows |
 products of this many rows or multiples of it give each row the same bits in OpenBLAS | | CELL_TARGET | 25 |
 samples | a lifted cell; 10, 12, 17, 25 measured: 154, 151, 147, 124 ns a sample | | CHUNK | 4096 | samples |
-columns at hand at once; 800, 1600, 4000 measured: 184, 146, 124 ns a sample | | BATCH | 1280 | hops |
+columns at hand at once; 800, 1600, 4000 measured: 184, 146, 124 ns a sample | | BATCH | 2560 | hops |
 summarised at once; 320, 640, 1280, 2560 measured: 266, 214, 197, 183 ns a sample | | GROUP | 8 | hops |
 groups of the sliding windows and of the filters' course; a power of two | | SPARE | 4096 | samples | that may
 wait beyond the longest window before the oldest are let go | | RENEWED | 2 | windows | of the longest length
@@ -20,7 +20,7 @@ samples | in which the least force assumed on a free mass moves an output by a s
 ROWS = 16
 CELL_TARGET = 25
 CHUNK = 4096
-BATCH = 1280
+BATCH = 2560
 GROUP = 8
 SPARE = 4096
 RENEWED = 2

@@ -1,6 +1,5 @@
 """From a checked configuration to the statistical model: parameters, unknown forces, constants."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -226,9 +225,7 @@ def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, 
             if c.gain_sd_percent > 0 and f"{c.name}.gain" not in wanted
         ]
     delay = _delay_samples(config)
-    # readings that are late, or held until the next, share what the data sheet allows
-    share = delay / math.sqrt(2)
-    late = [Constant("delay", "delay", number, share) for number in (0, 1)]
+    late = [Constant("delay", "delay", number, delay) for number in (0, 1)]
     return (*out, *late) if delay > 0 else tuple(out)
 
 

@@ -1,8 +1,7 @@
 """Where the bank works: the model with what is known of constants, noise, and what rows take of the learner.
 
-The constants enter rows through the few directions of their posterior that move the parameters: with P = L Lᵀ
-the covariance, Z = dθ/dη and s the parameters' own sds, the right singular vectors v of diag(1/s) Z L give
-columns L v of unit prior; the others change no sd by a hundredth.
+The constants enter rows whole: with P = L Lᵀ their covariance each column of L is a direction of unit prior.
+One that moves no parameter in the window learnt from may move all of them in the next, of other excitation.
 """
 
 from dataclasses import dataclass, replace
@@ -19,8 +18,6 @@ from agent.numerics.model.uncertain import Rig, Sampled, delays_of, sampled
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
 from agent.types import FloatArray, IntArray
 
-LEAST_SHARE = 0.01
-"""Directions of the constants that add less than this to every parameter's variance are left out."""
 PRESENT_NODES = 2.0
 """Intensities below this many first nodes are taken as absent."""
 LINE_LEVEL = 8.0
@@ -58,7 +55,6 @@ class OperatingPoint:
         unsure: variance of log σ that the misfit allows for.
         scatter: largest factor by which jump statistics are divided.
         slopes: inputs are followed by their slopes.
-        samples: length of the windows that were learnt from.
     """
 
     model: StateSpace
@@ -72,7 +68,6 @@ class OperatingPoint:
     unsure: float
     scatter: float
     slopes: bool
-    samples: int
 
 
 def operating_point(
@@ -92,8 +87,7 @@ def operating_point(
     columns = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q)]
     constants = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q, len(at.dA))]
     constants += [seen.sensor(i, base) for i in range(rig.masses, len(rig.constants))]
-    directions = _directions(known, posterior, sharpest)
-    columns += [_combined(constants, direction) for direction in directions.T]
+    columns += [_combined(constants, direction) for direction in _directions(rig, known).T]
     dA, dB, dC, dD = (np.stack(part) for part in zip(*columns, strict=True))
     model = StateSpace(*base, dA, dB, dC, dD)
     push = Push(at.E, seen.output_gain[:, None] * at.F)
@@ -102,7 +96,7 @@ def operating_point(
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
         model, push, learnt, known.theta, at.unit, sharpest / at.unit, wider, shape,
-        known.noise.unsure, max(1.0, float(known.scatter.within.max())), at.late is not None, window,
+        known.noise.unsure, max(1.0, float(known.scatter.within.max())), at.late is not None,
     )  # fmt: skip
 
 
@@ -179,15 +173,12 @@ def _own(known: Knowledge, posterior: Posterior) -> FloatArray:
     return np.asarray(posterior.sd_repeat / np.sqrt(wider))
 
 
-def _directions(known: Knowledge, posterior: Posterior, sharpest: FloatArray) -> FloatArray:
-    """(c, r) combinations of the constants, of unit prior each, that move the parameters."""
-    c = len(known.eta)
-    if not c:
-        return np.zeros((0, 0))
-    L = _root(known.constants.standing[1])
-    effect = (posterior.sensitivity @ L) / np.minimum(_own(known, posterior), sharpest)[:, None]
-    _, size, right = np.linalg.svd(effect, full_matrices=False)
-    return np.asarray(L @ right[size**2 > LEAST_SHARE].T)
+def _directions(rig: Rig, known: Knowledge) -> FloatArray:
+    """(c, r) combinations of the constants, of unit prior each; none of those that are known exactly."""
+    is_open = np.array([constant.sheet > 0 for constant in rig.constants], dtype=bool)
+    directions = np.zeros((len(is_open), np.count_nonzero(is_open)))
+    directions[is_open] = _root(known.constants.standing[1][np.ix_(is_open, is_open)])
+    return directions
 
 
 def _shape(known: Knowledge, posterior: Posterior, wider: FloatArray) -> Shape:

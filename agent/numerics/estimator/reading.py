@@ -83,18 +83,13 @@ def read(
     M = normal.H + np.diag(prior)
     covariance = _inverse(M)
     d = np.einsum("nij,nj->ni", covariance, normal.g)
-    alone = _inverse(M[:, :q, :q])
-    own = np.diagonal(alone, axis1=1, axis2=2)
+    given = covariance if c == q else _inverse(M[:, :q, :q])
+    own = np.diagonal(given, axis1=1, axis2=2)
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
-    if samples > point.samples:
-        # it would be sure of the few directions that stand for the constants, by data on the others
-        moved = np.einsum("nij,nj->ni", alone, normal.g[:, :q])
-        variance = ((alone @ M[:, :q, q:]) ** 2).sum(axis=2)
-    else:
-        moved = d[:, :q]
-        variance = np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0)
-    by_constants = point.unit * np.sqrt(variance)
-    theta = point.theta + point.unit * moved
+    by_constants = point.unit * np.sqrt(
+        np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0)
+    )
+    theta = point.theta + point.unit * d[:, :q]
     sharp = np.sqrt(own)
     # the point was found by sharper windows: a poor one moves it only by what chance never does
     least = np.where(sharp > POORER * point.sharpest, FARTHEST_SD, far_sd)

@@ -47,13 +47,14 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses on a rig's constants; those that no data show are within their data sheets."""
     sheet = np.array([c.sheet for c in constants])
     shows = np.array([c.shows for c in constants], dtype=bool)
+    held = np.array([c.is_held for c in constants], dtype=bool)
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
-    base = [("as configured", _within(sheet, shows, tuning.AS_CONFIGURED), quiet)]
+    base = [("as configured", _within(sheet, shows, held, tuning.AS_CONFIGURED), quiet)]
     base += [
         (
             "within data sheet",
-            _within(sheet, shows, factor),
-            np.diag((tuning.SHEET_WALK * factor * sheet) ** 2),
+            _within(sheet, shows, held, factor),
+            np.diag((tuning.SHEET_WALK * np.where(held, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
         )
         for factor in tuning.SHEET_FACTORS
     ]
@@ -61,19 +62,30 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     share = tuning.PRIOR_HEALTHY / len(base)
     off = _off(constants)
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
-    usual, share_off = base[0][1] + _least(sheet), (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
-    others = [
-        Hypothesis(
-            name, e, drifts, usual + size**2 * np.outer(e, e), quiet + walk**2 * np.outer(e, e), share_off
-        )
-        for name, e, drifts, size, walk in off
-    ]
+    others = []
+    for name, e, drifts, size, walk in off:
+        # a force that is held says nothing of how well all else is known
+        beside = healthy if e @ held else healthy[:1]
+        share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside)
+        others += [
+            Hypothesis(
+                name, e, drifts, b.covariance + size**2 * np.outer(e, e), b.walk + walk**2 * np.outer(e, e),
+                share,
+            )
+            for b in beside
+        ]  # fmt: skip
     return tuple(healthy + others)
 
 
-def _within(sheet: FloatArray, shows: NDArray[np.bool_], factor: float) -> FloatArray:
-    """Covariance of constants within a factor of their data sheets; those no data show stay at theirs."""
-    return np.diag((np.where(shows, factor, 1.0) * sheet) ** 2)
+def _within(
+    sheet: FloatArray, shows: NDArray[np.bool_], held: NDArray[np.bool_], factor: float
+) -> FloatArray:
+    """Covariance of constants within a factor of their data sheets; those no data show stay at theirs.
+
+    A force that is held is a hypothesis of its own: in these it runs as configured.
+    """
+    share = np.where(held, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
+    return np.diag((share * sheet) ** 2)
 
 
 def _least(sheet: FloatArray) -> FloatArray:

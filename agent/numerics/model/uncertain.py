@@ -32,6 +32,11 @@ class Constant:
     sheet: float
     shows: bool = True
 
+    @property
+    def is_held(self) -> bool:
+        """Whether it says that an input is held: that is so or not, and nothing between to start with."""
+        return self.kind == "delay" and self.number == 1
+
 
 @dataclass(frozen=True)
 class Rubbing:

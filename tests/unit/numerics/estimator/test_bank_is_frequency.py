@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from agent.numerics.estimator.operating_point import operating_point, taps_of
 from agent.numerics.estimator.reading import Reading, read
 from agent.numerics.estimator.record import Record
+from agent.numerics.inference.constants import Constants
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.lost import Lost
@@ -25,20 +26,25 @@ LOST = ((210, 0), (300, 2), (301, 1), (301, 2), (333, 0), (487, 2), (488, 0), (5
 
 
 def both(
-    rig: ChainRig, noise: DenseNoise, seed: int, lost: tuple[tuple[int, int], ...] = ()
-) -> tuple[Reading, list[Posterior]]:
-    """Rows of the bank, and the learner's answers about the same windows at the same point."""
+    rig: ChainRig, noise: DenseNoise, seed: int, lost: tuple[tuple[int, int], ...] = (), believed: str = "",
+    loudness: float = 0.0,
+) -> tuple[Reading, list[Posterior]]:  # fmt: skip
+    """Rows of the bank, and the learner's answers about the same windows at the same point.
+
+    believed: the one hypothesis on the constants, all that stand if empty; loudness: how the force grows.
+    """
     rng = np.random.default_rng(seed)
-    u = 20 * rng.standard_normal((SAMPLES, 1))
+    u = 20 * rng.standard_normal((SAMPLES, 1)) * np.exp(loudness * np.arange(SAMPLES) / SAMPLES)[:, None]
     slope = np.diff(u, axis=0, prepend=u[:1])
     eta = np.zeros(rig.count + len(rig.seen) + 2)
     # beyond the first order the forms differ: the learner's initial state is that of the readings as filled
     # in
-    theta = rig.theta * (1.00001 if lost else 1.001)
+    theta = rig.theta * (1.00001 if lost or loudness else 1.001)
     y = rig.readings(theta, eta, 0.01 * rng.standard_normal(2 * rig.count), u, slope).real
     y = y + noise.sigma * rng.standard_normal(y.shape)
     learner = learner_of(rig, WINDOW)
     known: Knowledge = knowledge(learner, noise)
+    known = replace(known, constants=only(known.constants, believed)) if believed else known
     samples = Record(0, len(rig.seen), 1)
     missing = np.zeros((SAMPLES, len(rig.seen) + 1), dtype=bool)
     for sample, channel in lost:
@@ -48,8 +54,9 @@ def both(
         )
     samples.append(y, u, missing)
     first = learner._posterior(
-        learner.lineariser.linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1), known
-    )
+        learner.lineariser.linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1),
+        known, known.constants if believed else None,
+    )  # fmt: skip
     point = operating_point(learner.rig, known, first, learner.sources, WINDOW, first.sd_repeat)
     plan = HopPlan(WINDOW, HOP)
     taps = taps_of(learner.rig, len(rig.seen), point.slopes)
@@ -69,8 +76,26 @@ def both(
         # the learner takes the prior of a lost force from both sides of it; here both forms have the same
         window = replace(window, lost_sd=given.between(int(newest) + 1 - WINDOW, int(newest) + 1).sd)
         at = learner.lineariser.linearised(window, later, jumps=False, steps=1)
-        answers.append(learner._posterior(at, later, later.constants))
+        answers.append(learner._posterior(at, later, None if believed else later.constants))
     return rows, answers
+
+
+def only(constants: Constants, name: str) -> Constants:
+    """One hypothesis of the sum, believed."""
+    first = next(i for i, h in enumerate(constants.hypotheses) if h.name == name)
+    one = slice(first, first + 1)
+    return Constants(constants.hypotheses[one], np.ones(1), constants.mean[one], constants.covariance[one])
+
+
+@pytest.mark.parametrize("believed", ["as configured", "within data sheet", "m1"])
+def test_bank_rows_weigh_the_constants_as_the_learner_does_whatever_the_excitation(believed: str) -> None:
+    noise = DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
+    rows, answers = both(ChainRig(), noise, 3, believed=believed, loudness=3.0)
+    sd = np.array([a.sd for a in answers])
+    theta = np.array([a.theta for a in answers])
+    assert np.abs(np.log(rows.sd / sd)).max() < 1e-4
+    # the learner takes what constants move for factors: beyond the first order of them
+    assert np.abs((rows.theta - theta) / sd).max() < 1e-3
 
 
 @pytest.mark.parametrize("force", [0.0, 0.5])

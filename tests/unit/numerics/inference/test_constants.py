@@ -85,6 +85,22 @@ def test_constants_that_are_exact_have_no_hypothesis() -> None:
     assert "m2" in {h.name for h in hypotheses_of(exact)}
 
 
+def test_a_force_is_held_or_runs_as_configured_however_well_all_else_is_known() -> None:
+    late = tuple(Constant("delay", "delay", number, 0.25) for number in (0, 1))
+    found = hypotheses_of((*CONSTANTS, *late))
+    held = [h for h in found if h.members[4]]
+    healthy = [h for h in found if not h.members.any()]
+    others = np.ix_(range(4), range(4))
+    assert all(h.covariance[4, 4] < 0.01**2 for h in found if not h.members[4])
+    assert all(h.covariance[4, 4] >= tuning.OFF_DELAY**2 for h in held)
+    for one, beside in zip(held, healthy, strict=True):
+        assert one.covariance[others] == pytest.approx(beside.covariance[others])
+        assert one.walk[others] == pytest.approx(beside.walk[others])
+    of_delay = sum(h.prior for h in found if h.members[3])
+    assert sum(h.prior for h in held) == pytest.approx(of_delay)
+    assert sum(h.prior for h in found) == pytest.approx(1.0)
+
+
 def test_constants_update_by_information_that_drowns_the_prior_leaves_no_negative_variance(
     rng: np.random.Generator,
 ) -> None:

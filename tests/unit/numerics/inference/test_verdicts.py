@@ -41,8 +41,8 @@ def test_ways_in_which_the_same_may_be_off_are_one_belief() -> None:
     late = tuple(Constant("delay", "delay", number, 0.2) for number in (0, 1))
     prior = Constants.prior(hypotheses_of(late))
     ways = [i for i, h in enumerate(prior.hypotheses) if h.name == "delay"]
-    mean = prior.mean.copy()
-    mean[ways[0], 0], mean[ways[1], 1] = 0.3, 0.5
+    members = np.array([h.members for h in prior.hypotheses])
+    mean = members * [0.3, 0.5]
     (found,) = beliefs(Constants(prior.hypotheses, prior.weight, mean, prior.covariance), ("delay", "delay"))
     assert found.probability == pytest.approx(prior.probability("delay"))
     assert found.size == pytest.approx(0.4)

@@ -116,8 +116,8 @@ def stretches_of(
     prove_parts(connection, rig, parts)
     shift = shifts(parts)
     newest = newest_of(parts, shift)
-    first = FIRST if since is None else parse_time(since, newest)
-    last = LAST if until is None else parse_time(until, newest)
+    first = FIRST if since is None else min(parse_time(since, newest, "--since"), LAST)
+    last = LAST if until is None else max(parse_time(until, newest, "--until"), FIRST)
     if first > last:
         raise UsageError([Fault("--since", f'"{since}" is later than --until "{until}"', "swap them")])
     by_age = [text is not None and age_ns(text) is not None for text in (since, until)]

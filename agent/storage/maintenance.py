@@ -26,6 +26,7 @@ from agent.storage.database.files import (
 from agent.storage.database.verify import problems
 from agent.storage.read import queries
 from agent.storage.read.proof import proven
+from agent.storage.read.selection import reading
 from agent.storage.recovery.salvage import Recovery, recover
 from agent.storage.write.command_socket import ask
 from agent.storage.write.store import Store
@@ -245,7 +246,7 @@ def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[st
 
 def _rows(path: Path, view: str, condition: str, values: Sequence[object]) -> Iterator[Sequence[Any]]:
     """Yield the names of a view's columns, then its rows that prove themselves."""
-    with queries.reading(path) as connection:
+    with reading(path) as connection:
         columns, rows = proven(connection, view, condition, values)
         yield columns
         yield from rows

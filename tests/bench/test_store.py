@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from agent.cli.prognosis import trend as commands_trend
-from agent.storage.read import queries
+from agent.storage.read.points import points_of
 from agent.storage.tables.rows import Plan
 from agent.storage.write.retention import Retention
 from agent.storage.write.rollups import HOUR, MINUTE, Groups, add_groups
@@ -89,7 +89,7 @@ def groups(first_s: int, length_s: int, span: int, series: list[int]) -> Groups:
 
 def trend(path: Path, since: str) -> dict[str, object]:
     """Return what `deltak trend --json` prints."""
-    found = queries.points(path, None, "k1", since=since)
+    found = points_of(path, None, "k1", since=since)
     return commands_trend._document(found, commands_trend.window_s(path, "k1"), None, commands_trend.Ahead())
 
 
@@ -178,7 +178,7 @@ def test_trend_and_forecast_of_a_rig_year_are_quick(tmp_path: Path) -> None:
 
     path = tmp_path / "rig.db"
     year(path)
-    found = queries.points(path, None, "k1")
+    found = points_of(path, None, "k1")
     window = commands_trend.window_s(path, "k1")
     asked = best_ms(lambda: commands_trend._document(found, window, None, commands_trend.Ahead()))
     ahead = best_ms(lambda: commands_trend._document(found, window, 20.0, commands_trend.Ahead()))

@@ -14,7 +14,7 @@ from agent.errors import StoreError
 from agent.evaluation.explain.explain import Explained, agreeing, explain
 from agent.recording.states import StateError, thawed
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import columns_of
+from agent.storage.database.columns import columns_of
 from tests.figures import figure
 from tests.replay.test_event_replays import Live, asked, configured, deltak, live
 from tests.scenario.live import agent, hops, wait_until

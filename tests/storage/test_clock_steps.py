@@ -10,6 +10,7 @@ import pytest
 
 from agent.clock import SampleLabels
 from agent.storage.read import queries
+from agent.storage.read.points import points_of
 from agent.storage.tables.ages import Part, shifts
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
@@ -159,10 +160,10 @@ def test_newest_since_and_trend_follow_time_and_not_the_stamp(
     assert queries.latest(machine.path)[0]["t_ns"] == now
     rows = queries.estimates(machine.path, since="50s")
     assert [row["t_ns"] for row in rows] == [now - 10 * SECOND * i for i in range(5, -1, -1)]
-    points = queries.points(machine.path, None, "k1", since="50s")
+    points = points_of(machine.path, None, "k1", since="50s")
     assert points.t_ns.tolist() == [row["t_ns"] for row in rows]
     assert points.value[-1] == value
-    every = queries.points(machine.path, None, "k1")
+    every = points_of(machine.path, None, "k1")
     assert len(every.t_ns) == 420
     assert restart or every.clock_steps == 1
     if not (restart and step > 0):  # then nothing contradicts the clock yet
@@ -177,7 +178,7 @@ def test_excursion_of_three_seconds_moves_nothing_once_it_is_over(machine: Machi
     rows = queries.estimates(machine.path, since="90m")
     assert len(rows) == 541
     assert rows[-1]["t_ns"] == machine.wall_ns
-    points = queries.points(machine.path, None, "k1")
+    points = points_of(machine.path, None, "k1")
     np.testing.assert_array_less(np.diff(points.t_ns), 70 * SECOND)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from agent.errors import UsageError
 from agent.storage.read import queries
+from agent.storage.read.points import points_of
 from agent.storage.read.times import age_ns, parse_time
 from agent.storage.write.store import Store
 from agent.text import iso_time
@@ -91,25 +92,25 @@ def test_estimates_of_what_is_not_there_says_what_is(
 
 
 def test_points_are_the_valid_rows_as_arrays(path: Path) -> None:
-    got = queries.points(path, "press-7", "k1")
+    got = points_of(path, "press-7", "k1")
     sent = batch(95, first=5)
     assert np.array_equal(got.t_ns, sent.t_ns)
     assert np.array_equal(got.value, sent.value[:, 0])
     assert np.array_equal(got.sd, sent.sd[:, 0])
     assert (got.unit, got.reference, got.rig) == ("N/m", 25.0, "press-7")
     assert (got.since_ns, got.until_ns) == (None, None)
-    assert len(queries.points(path, "press-7", "k1", since="1s").t_ns) == 21
+    assert len(points_of(path, "press-7", "k1", since="1s").t_ns) == 21
 
 
 def test_points_need_a_rig_where_there_are_several(path: Path) -> None:
     with pytest.raises(UsageError, match="several rigs; name one of press-7, press-8"):
-        queries.points(path, None, "k1")
+        points_of(path, None, "k1")
     with pytest.raises(UsageError, match="no parameter"):
-        queries.points(path, "press-7", "nothing")
+        points_of(path, "press-7", "nothing")
 
 
 def test_points_outside_of_what_there_is_are_none(path: Path) -> None:
-    got = queries.points(path, "press-7", "k1", until="2020-01-01")
+    got = points_of(path, "press-7", "k1", until="2020-01-01")
     assert (len(got.t_ns), got.value.dtype, got.t_ns.dtype) == (0, np.dtype("float64"), np.dtype("int64"))
 
 

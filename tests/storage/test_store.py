@@ -13,13 +13,8 @@ from scipy.special import stdtrit
 from agent.errors import StoreError
 from agent.storage.database import connect
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import (
-    APPLICATION_ID,
-    SCHEMA_VERSION,
-    columns_of,
-    numbers_crc,
-    version_mark,
-)
+from agent.storage.database.columns import columns_of, numbers_crc
+from agent.storage.database.schema import APPLICATION_ID, SCHEMA_VERSION, version_mark
 from agent.storage.read import queries
 from agent.storage.write.store import Store
 from agent.types import EstimateBatch, HealthEvent, Learnt, LearntRecord, Reason, SourceClock, Status

@@ -19,6 +19,7 @@ from agent.storage import maintenance
 from agent.storage.database.files import beside
 from agent.storage.database.schema import own_schema
 from agent.storage.read import queries
+from agent.storage.read.points import points_of
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.types import ClockRecord, EventRecord, RunInfo
@@ -87,7 +88,7 @@ def _exported(path: Path, what: str) -> list[dict[int, object]]:
 
 
 def _points(path: Path, rig: str) -> list[dict[str, object]]:
-    got = queries.points(path, rig, "k1")
+    got = points_of(path, rig, "k1")
     return [
         dict(zip("tvs", cells, strict=True)) for cells in zip(got.t_ns, got.value, got.sd, strict=True)
     ] + [{"unit": got.unit, "reference": got.reference}]
@@ -292,7 +293,7 @@ def test_index_that_leaves_out_a_row_that_hides_others_is_damage(
     path = memory / "rig.db"
     shutil.copy(whole, path)
     leave_out(path, index, "seq < 0")
-    for ask in (queries.estimates, lambda path: queries.points(path, "press-7", "k1")):
+    for ask in (queries.estimates, lambda path: points_of(path, "press-7", "k1")):
         with pytest.raises(StoreError, match="an index does not list what its table holds"):
             ask(path)
 
@@ -336,7 +337,7 @@ def test_newest_row_of_all_that_the_index_leaves_out_is_missed_by_a_trend(memory
         store.write(store.begin_run(run_info()), [batch(30)])
     leave_out(path, "hops_by_time", "seq < 30")
     with pytest.raises(StoreError, match="an index does not list what its table holds"):
-        queries.points(path, "press-7", "k1")
+        points_of(path, "press-7", "k1")
 
 
 @pytest.mark.parametrize(
@@ -396,7 +397,7 @@ def test_views_of_a_foreign_file_are_not_executed(whole: Path, memory: Path, nam
         file.execute(RECURSIVE.format(name))
         file.commit()
     begin = time.monotonic()
-    for ask in (queries.points, queries.estimates):
+    for ask in (points_of, queries.estimates):
         with pytest.raises(StoreError, match=name):
             ask(path, "press-7", "k1")
     assert any(name in problem for problem in maintenance.check(path).problems)

@@ -9,6 +9,7 @@ import pytest
 
 from agent.errors import StoreError
 from agent.storage.read import queries
+from agent.storage.read.selection import reading
 from agent.storage.tables.rows import Plan
 from agent.storage.write.backlog import Backlog, Pause
 from agent.storage.write.store import Store
@@ -184,7 +185,7 @@ def test_writer_that_cannot_keep_up_never_blocks_the_pipeline(
     gate.set()
     assert writer.flush(20)
     assert len(queries.estimates(path)) + sum(writer.dropped.values()) == 2400
-    with queries.reading(path) as connection:
+    with reading(path) as connection:
         assert connection.execute("SELECT count(*) FROM v_alarm_events").fetchone() == (60,)
 
 

@@ -21,6 +21,7 @@ from agent.runtime.forecasts.record import record_of
 from agent.runtime.forwarded.archive import ParquetHistories, is_archive
 from agent.runtime.forwarded.postgres import PostgresHistories, is_address
 from agent.storage.read import baselines, queries
+from agent.storage.read.points import Points, all_points, longest_window
 from agent.text import ahead, number, short_time
 
 Document = Mapping[str, Any]
@@ -65,7 +66,7 @@ class _Part(NamedTuple):
     covariates: those that were taken out of the points.
     """
 
-    points: queries.Points
+    points: Points
     window_s: float
     limit: float | None
     record: Document | None
@@ -95,10 +96,10 @@ def _stored(path: Path, parameter: str | None) -> Iterator[_Part]:
     past: dict[tuple[str, str], list[Document]] = {}
     for made in queries.forecasts(path):
         past.setdefault((made["rig"], made["parameter"]), []).append(made)
-    window = queries.longest_window(path)
+    window = longest_window(path)
     for rig in queries.rigs(path):
         standing = baselines.standing(path, rig)
-        for points in queries.all_points(path, rig, MOST_ROWS):
+        for points in all_points(path, rig, MOST_ROWS):
             if parameter in {None, points.parameter}:
                 key = rig, points.parameter
                 same = compensated(path, points, standing)
@@ -138,7 +139,7 @@ def _row(part: _Part, horizon: float | None, limit_percent: float) -> dict[str, 
     return row | {name: found[name] for name in ("status", "p50_s", "p50_at", "chance") if name in found}
 
 
-def _first(points: queries.Points) -> float | None:
+def _first(points: Points) -> float | None:
     return float(points.value[0]) if len(points.value) else None
 
 

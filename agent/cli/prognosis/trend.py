@@ -24,6 +24,7 @@ from agent.runtime.forecasts.histories import (
     window_s,
 )
 from agent.storage.read import queries
+from agent.storage.read.points import Points, points_of
 from agent.storage.read.tables import is_table, table_points
 from agent.text import behind, iso_time, number, short_time, with_sd
 
@@ -84,7 +85,7 @@ def _asked(
 ) -> tuple[dict[str, Any], Sequence[Document]]:  # fmt: skip
     """Return what is said of one history, of a database or a table, and the agent's forecasts of it."""
     if parameter is not None and not is_table(db):
-        found = compensated(db, queries.points(db, rig, parameter, *times))
+        found = compensated(db, points_of(db, rig, parameter, *times))
         past = queries.forecasts(db, found.points.rig, parameter)
         return _document(found, window_s(db, parameter), limit, ahead, past) | {"backward": 0}, past
     points, backward = table_points(db, *times, parameter)
@@ -137,7 +138,7 @@ def _document(
     return document | {"words": verdict(document)}
 
 
-def _alone(points: queries.Points) -> dict[str, Any]:
+def _alone(points: Points) -> dict[str, Any]:
     """Return what rows too few for a line say: the newest of them, and no slope."""
     newest = {"value": float(points.value[-1]), "sd": float(points.sd[-1])} if len(points.value) else {}
     return {**dict.fromkeys(_FIGURES), **newest, "trend": False}
@@ -149,7 +150,7 @@ _FIGURES = (
 )  # fmt: skip
 
 
-def _shape(asked: Change, points: queries.Points) -> dict[str, Any]:
+def _shape(asked: Change, points: Points) -> dict[str, Any]:
     """Return level, slope and curvature.
 
     What the constants leave open is the same in every point: of the level, not of the slope.
@@ -167,7 +168,7 @@ def _step(t: float, size: float, sd: float, newest_ns: int) -> dict[str, Any]:
     return {"t_ns": at, "time": iso_time(at), "size": size, "sd": sd}
 
 
-def _common(points: queries.Points) -> float:
+def _common(points: Points) -> float:
     """Return the sd of what the newest point shares with all the others."""
     return math.sqrt(max(float(points.sd[-1]) ** 2 - float(points.sd_repeat[-1]) ** 2, 0.0))
 
@@ -233,7 +234,7 @@ def _print_all(db: Path, rig: str | None, times: tuple[str | None, str | None], 
     documents = []
     for name in [rig] if rig is not None else queries.rigs(db):
         for parameter in queries.parameters(db, name):
-            found = compensated(db, queries.points(db, name, parameter, *times))
+            found = compensated(db, points_of(db, name, parameter, *times))
             documents.append(_document(found, window_s(db, parameter), None, Ahead()))
     documents.sort(key=_share, reverse=True)
     if form == "json":

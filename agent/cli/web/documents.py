@@ -17,7 +17,8 @@ from agent.clock import wall_ns
 from agent.errors import UsageError
 from agent.storage.read import queries, recent
 from agent.storage.read.baselines import baselines
-from agent.storage.read.queries import Points, Rows
+from agent.storage.read.points import Points, points_of
+from agent.storage.read.queries import Rows
 
 Asked = Mapping[str, str]
 Make = Callable[[tuple[Watched, ...], Asked], Mapping[str, Any]]
@@ -143,7 +144,7 @@ def _points(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
         raise UsageError.at("points", f"{most} is not within 1 and {_MOST_POINTS}", "ask for fewer")
     times = asked.get("since"), asked.get("until")
     started = time.perf_counter()
-    found = queries.points(database.path, asked.get("rig"), parameter, *times)
+    found = points_of(database.path, asked.get("rig"), parameter, *times)
     return {
         **{key: getattr(found, key) for key in ("rig", "parameter", "unit", "reference", "refused")},
         "db": database.name,

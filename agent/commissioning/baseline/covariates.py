@@ -15,7 +15,7 @@ from agent.numerics.reference.covariates.regression import Found, alike, regress
 from agent.numerics.reference.spread import grouping
 from agent.storage.read import covariates as stored
 from agent.storage.read.covariates import Means
-from agent.storage.read.queries import Points
+from agent.storage.read.points import Points
 from agent.text import number, percent
 from agent.types import BoolArray, FloatArray, IntArray
 

@@ -20,7 +20,7 @@ from agent.numerics.reference.covariates.dependence import written
 from agent.numerics.reference.spread import periods, spread
 from agent.storage import maintenance
 from agent.storage.read import queries
-from agent.storage.read.queries import Points
+from agent.storage.read.points import Points, points_of
 from agent.text import number, percent
 from agent.types import Baseline
 
@@ -106,7 +106,7 @@ def _history(target: Target, stretch: Stretch, progress: Callable[[str], None]) 
     any_valid = False
     for name in stretch.parameters or known:
         progress(f"reading {name}")
-        points = queries.points(target.db, target.rig, name, stretch.since, stretch.until)
+        points = points_of(target.db, target.rig, name, stretch.since, stretch.until)
         if stretch.parameters or len(points.t_ns):
             any_valid = True
             yield points

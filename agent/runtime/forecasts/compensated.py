@@ -12,7 +12,7 @@ from agent.numerics.reference.covariates.dependence import STRANGE, Dependence
 from agent.numerics.reference.covariates.lags import PERIOD_S, newest_period, series
 from agent.storage.read import baselines, covariates
 from agent.storage.read.covariates import Means
-from agent.storage.read.queries import Points
+from agent.storage.read.points import Points
 from agent.types import Baseline, FloatArray
 
 BEFORE_NS = 5 * 86_400 * 10**9

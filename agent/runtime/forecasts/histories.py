@@ -17,6 +17,7 @@ from agent.prognosis.posterior import FULL, Effort
 from agent.prognosis.traces import Trace
 from agent.runtime.forecasts.record import Row, record_of
 from agent.storage.read import queries
+from agent.storage.read.points import Points, points_of
 from agent.storage.read.tables import is_table, table_points
 from agent.storage.read.times import age_ns
 from agent.text import iso_time
@@ -28,7 +29,7 @@ _LATEST_NS = 253_402_300_799 * 10**9
 """The end of the year 9999: what ISO 8601 can write."""
 
 
-def history_of(points: queries.Points, window_s: float) -> History:
+def history_of(points: Points, window_s: float) -> History:
     """Return rows without shared samples or outliers, or means of runs of them; t in days before now."""
     rows = disjoint(points.t_ns, np.maximum(points.span_s, window_s))
     if not len(rows):
@@ -79,7 +80,7 @@ def _histories(path: Path, parameter: str | None) -> list[History]:
     if parameter is None:
         raise UsageError.at("--parameter", f"{path} holds several parameters", "name the one to learn from")
     window = window_s(path, parameter)
-    return [history_of(queries.points(path, rig, parameter), window) for rig in queries.rigs(path)]
+    return [history_of(points_of(path, rig, parameter), window) for rig in queries.rigs(path)]
 
 
 def write_prior(learnt: Learnt, path: Path) -> None:

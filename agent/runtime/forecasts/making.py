@@ -21,6 +21,7 @@ from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import history_of, like_machines, window_s
 from agent.runtime.forecasts.scoring import scores_of
 from agent.storage.read import queries
+from agent.storage.read.points import Points, points_of
 from agent.text import iso_time
 from agent.types import ForecastRecord, HealthEvent, Record
 
@@ -88,7 +89,7 @@ class Forecaster:
     def _made(self, cause: str, parameter: str, until_ns: int | None) -> Made:
         if parameter not in queries.parameters(self._db, self.rig):
             return Made()  # no row yet
-        points = queries.points(
+        points = points_of(
             self._db, self.rig, parameter, until=None if until_ns is None else iso_time(until_ns)
         )
         if not len(points.t_ns):
@@ -99,7 +100,7 @@ class Forecaster:
         outlook, record = self._look(cause, points)
         return Made((*scores, *record), (outlook,))
 
-    def _look(self, cause: str, points: queries.Points) -> tuple[Outlook, list[ForecastRecord]]:
+    def _look(self, cause: str, points: Points) -> tuple[Outlook, list[ForecastRecord]]:
         seen = self._seen(points)
         rule = self._limits.get(points.parameter)
         if rule is None:
@@ -112,7 +113,7 @@ class Forecaster:
             made = Forecast("crossed", horizon=made.horizon, chance=1.0)
         return _outlook(seen, way, made), [_record(cause, seen, made, limit)]
 
-    def _seen(self, points: queries.Points) -> "_Seen":
+    def _seen(self, points: Points) -> "_Seen":
         window = self._window_s if self._window_s is not None else window_s(self._db, points.parameter)
         history = history_of(points, window)
         long_enough = history.span * 86_400.0 * MOMENT >= self._asked.every
@@ -146,7 +147,7 @@ class _Seen:
         reference: what a change is counted from.
     """
 
-    points: queries.Points
+    points: Points
     history: History
     long_enough: bool
     change: Change | None

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.storage.read.queries import Points
+from agent.storage.read.points import Points
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.write.rollups import HOUR, MINUTE, SECOND, Groups, grouped
 from agent.types import FloatArray, IntArray, Status

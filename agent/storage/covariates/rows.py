@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Any
 
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import columns_of, insert_sql
+from agent.storage.database.columns import columns_of, insert_sql
 from agent.types import CovariateMean
 
 Take = Callable[[str], int]

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.storage.database.checksum import row_crc
+from agent.storage.database.columns import TABLES, columns_of, numbers_crc
 from agent.storage.database.connect import damaged, is_damage
-from agent.storage.database.schema import TABLES, columns_of, numbers_crc, strange_schema
+from agent.storage.database.schema import strange_schema
 
 Row = tuple[Any, ...]
 _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}

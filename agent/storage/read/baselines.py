@@ -4,7 +4,8 @@ from pathlib import Path
 
 from agent.storage.database.checksum import row_crc
 from agent.storage.read.proof import proven
-from agent.storage.read.queries import Rows, reading
+from agent.storage.read.queries import Rows
+from agent.storage.read.selection import reading
 from agent.storage.tables.baselines import standing_baselines
 from agent.types import Baseline
 

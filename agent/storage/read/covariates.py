@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.storage.covariates.rows import means_of
-from agent.storage.read.queries import reading
+from agent.storage.read.selection import reading
 from agent.types import FloatArray, IntArray
 
 _MINUTE_NS = 60_000_000_000

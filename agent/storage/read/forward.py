@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from agent.errors import StoreError
+from agent.storage.database.columns import COLUMN_BITS
 from agent.storage.database.connect import Reader, connect_reader, unreadable
-from agent.storage.database.schema import COLUMN_BITS
 from agent.storage.read.proof import proven, row_of
 
 Row = dict[str, Any]

@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.storage.database.columns import TABLES, columns_of
 from agent.storage.database.connect import Reader, damaged
-from agent.storage.database.schema import TABLES, columns_of, own_schema
+from agent.storage.database.schema import own_schema
 from agent.storage.database.verify import bad_rows, good_columns, good_rows
 from agent.storage.tables.ages import Part
 from agent.types import FloatArray, IntArray, Status

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Self
 
 from agent.storage.database.connect import Reader
 from agent.storage.read.proof import prove_listed, proven, row_of
-from agent.storage.read.queries import Rows, reading
+from agent.storage.read.queries import Rows
+from agent.storage.read.selection import reading
 
 Row = dict[str, Any]
 _FIRST = -(2**63)

@@ -10,7 +10,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from agent.errors import UsageError
-from agent.storage.read.queries import Points
+from agent.storage.read.points import Points
 from agent.storage.read.times import age_ns, parse_time
 
 ENDINGS = frozenset({".csv", ".parquet", ".pq"})

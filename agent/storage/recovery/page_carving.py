@@ -10,7 +10,8 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 
-from agent.storage.database.schema import ADDED, PAGE_SIZE, TABLES, columns_of
+from agent.storage.database.columns import ADDED, TABLES, columns_of
+from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.database.verify import good_rows
 from agent.storage.tables.rows import Row
 

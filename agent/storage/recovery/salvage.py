@@ -9,9 +9,9 @@ from pathlib import Path
 from urllib.parse import quote
 
 from agent.storage.database.checksum import row_crc
+from agent.storage.database.columns import COLUMN_BITS, TABLES, columns_of, insert_sql
 from agent.storage.database.connect import build, empty_log
 from agent.storage.database.files import beside, make_alike, sync_folder
-from agent.storage.database.schema import COLUMN_BITS, TABLES, columns_of, insert_sql
 from agent.storage.database.verify import good_rows
 from agent.storage.recovery.loss_estimate import REPORTED, LossEstimate
 from agent.storage.recovery.page_carving import scan

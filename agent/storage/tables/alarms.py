@@ -8,7 +8,7 @@ from typing import get_args
 
 from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, cause_of, is_needless
 from agent.storage.database.checksum import Cell
-from agent.storage.database.schema import columns_of
+from agent.storage.database.columns import columns_of
 from agent.storage.tables.notifications import Outbox
 from agent.storage.tables.rows import Numbers, Plan
 from agent.types import AlarmKind, AlarmState, AlarmTransition

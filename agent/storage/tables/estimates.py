@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.storage.database.schema import COLUMN_BITS, numbers_crc
+from agent.storage.database.columns import COLUMN_BITS, numbers_crc
 from agent.storage.tables.rows import FitKey, Names, Numbers, Plan
 from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Status
 

@@ -3,7 +3,7 @@
 
 import sqlite3
 
-from agent.storage.database.schema import columns_of
+from agent.storage.database.columns import columns_of
 from agent.storage.tables.rows import Numbers, Plan
 from agent.types import ForecastRecord, ForecastScore
 

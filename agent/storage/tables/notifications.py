@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import columns_of
+from agent.storage.database.columns import columns_of
 from agent.storage.tables.rows import Numbers, Plan
 from agent.types import AlarmTransition
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.storage.database.checksum import Cell, row_crc
-from agent.storage.database.schema import TABLES
+from agent.storage.database.columns import TABLES
 from agent.types import Reason, Status
 
 Row = tuple[Any, ...]

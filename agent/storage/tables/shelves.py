@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import columns_of
+from agent.storage.database.columns import columns_of
 from agent.storage.tables.ages import newest_of, parts_of, shifts
 from agent.storage.tables.rows import Numbers, Plan
 

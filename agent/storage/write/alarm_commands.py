@@ -9,7 +9,7 @@ from typing import Any, Final
 from agent.alarms.life_cycle import COMMANDS, Alarm, Cause
 from agent.errors import Fault, StoreError
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import columns_of
+from agent.storage.database.columns import columns_of
 from agent.storage.tables.alarms import AlarmRow, alarm_of, event_cells, kind_of
 from agent.storage.tables.rows import Plan
 from agent.storage.tables.shelves import Moment, Shelf, left_ns, shelf_of

@@ -13,7 +13,8 @@ from typing import Protocol
 
 from agent.storage.covariates.rows import thin
 from agent.storage.database.checksum import row_crc
-from agent.storage.database.schema import COLUMN_BITS, PAGE_SIZE, TABLES, columns_of
+from agent.storage.database.columns import COLUMN_BITS, TABLES, columns_of
+from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.tables.ages import Part, parts_of, shifts
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.write.consumers.unsent import acknowledged, count_unsent

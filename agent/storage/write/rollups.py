@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from agent.storage.covariates.merging import merged
-from agent.storage.database.schema import COLUMN_BITS, numbers_crc
+from agent.storage.database.columns import COLUMN_BITS, numbers_crc
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.types import FloatArray, IntArray, Status

@@ -10,9 +10,9 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+from agent.storage.database.columns import TABLES, columns_of, insert_sql
 from agent.storage.database.connect import build, connect_writer
 from agent.storage.database.files import beside, sync_folder
-from agent.storage.database.schema import TABLES, columns_of, insert_sql
 from agent.storage.database.verify import good_rows
 
 _ROWS_A_COMMIT = 20_000

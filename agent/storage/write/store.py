@@ -12,6 +12,7 @@ from typing import Self
 from agent.errors import StoreError
 from agent.storage.covariates.rows import newest_means
 from agent.storage.database.checksum import row_crc
+from agent.storage.database.columns import insert_rows
 from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.database.connect import (
     FRAME_BYTES,
@@ -36,7 +37,7 @@ from agent.storage.database.files import (
     renew,
     sync_folder,
 )
-from agent.storage.database.schema import insert_rows, upgrade
+from agent.storage.database.schema import upgrade
 from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms

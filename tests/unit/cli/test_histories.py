@@ -19,7 +19,7 @@ from agent.cli.prognosis.trend import Ahead, trend
 from agent.errors import UsageError
 from agent.numerics.reference.covariates.dependence import Dependence, written
 from agent.storage.maintenance import store_baselines
-from agent.storage.read import queries
+from agent.storage.read.points import points_of
 from agent.storage.read.tables import table_points
 from agent.storage.write.store import Store
 from agent.types import Baseline, CovariateMean, ForecastRecord, ForecastScore
@@ -297,8 +297,8 @@ def test_trend_over_rows_of_two_references_and_a_set_clock_says_so(
         for first, reference in ((0, 25.0), (60, 24.5)):
             rows = {"value": value[first : first + 60], "sd": np.full((60, 4), 0.05)}
             store.write(run, [batch(60, first=first, hop_ns=day, reference=np.full(4, reference), **rows)])
-    points = queries.points(path, None, "k1")
-    monkeypatch.setattr(queries, "points", lambda *_: replace(points, clock_steps=2))
+    points = points_of(path, None, "k1")
+    monkeypatch.setattr("agent.cli.prognosis.trend.points_of", lambda *_: replace(points, clock_steps=2))
     text = said(trend, path, "k1", None, OPEN, None, "table", None)
     assert "rows of 2 references (25, then 24.5): their values are compared" in text
     assert "the wall clock was set otherwise 2 times: instants follow it as it is set now" in text

@@ -15,8 +15,8 @@ from tests.property.random_rigs import written
 
 COMMAND = typer.main.get_command(app)
 """Built once: the command line makes it anew for each call, which is one in a process."""
-RIGS, SOAK = 200, 5000
-REPLAYED = 40
+RIGS, SOAK = 80, 5000
+REPLAYED = 16
 """Every so manieth rig is replayed in each run, every one when soaking: a fit costs a hundred times a check.
 """
 FAULT = re.compile(r"deltak: error: (rig|model|channel|estimator)[\w.\[\]]*: \S.*")

@@ -8,13 +8,13 @@ from tests.statistical.machine import say
 
 FULL = 200
 QUICK = {
-    "white": 45,
-    "white, to be learnt": 20,
-    "AR(1) 0.9": 10,
-    "force on m1": 15,
-    "16 bits": 20,
-    "16 bits, recorded": 15,
-    "200 us of jitter": 12,
+    "white": 24,
+    "white, to be learnt": 12,
+    "AR(1) 0.9": 8,
+    "force on m1": 9,
+    "16 bits": 12,
+    "16 bits, recorded": 9,
+    "200 us of jitter": 8,
     "200 us of jitter above all": 8,
     "200 us of jitter beside a stated noise": 8,
 }

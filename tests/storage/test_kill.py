@@ -98,7 +98,7 @@ def missing_of(reader: sqlite3.Connection, run_id: int, hops: int, profile: str)
 
 @pytest.mark.parametrize(
     ("profile", "kills"),
-    [("live", 80), ("bulk", 60), ("keep", 60)]
+    [("live", 40), ("bulk", 30), ("keep", 30)]
     + [pytest.param(name, 250, marks=[pytest.mark.soak, pytest.mark.timeout(3600)]) for name in PROFILES],
 )
 def test_kill_of_the_writer_at_any_moment_loses_nothing_acknowledged(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from agent.blocks.rig_model import known_noise, rig_model
 from agent.config import RigConfig
-from agent.config.tables import MechanicsModel
+from agent.config.model.tables import MechanicsModel
 from agent.numerics.model.holds import straight
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.sensors import SensedModel

@@ -7,8 +7,9 @@ import numpy as np
 from agent.blocks.domains.model import descriptor_model
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain
-from agent.config.linear import LinearModel
-from agent.config.tables import MechanicsModel, Parameter
+from agent.config.model.linear import LinearModel
+from agent.config.model.parameters import Parameter
+from agent.config.model.tables import MechanicsModel
 from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
 from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure

@@ -8,7 +8,7 @@ import numpy as np
 from agent.blocks.rig_model import RigModel, estimated, hop_plan, longer_windows, output_noise, rig_model
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain
-from agent.config.tables import Channel, MechanicsModel
+from agent.config.model.tables import Channel, MechanicsModel
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference.tuning import DELAY_SHEET
 from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces

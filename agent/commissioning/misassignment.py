@@ -10,7 +10,7 @@ from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.channel_checks import plain_findings, suspicion
 from agent.commissioning.limits import PLAINER, STRETCHES
 from agent.config import RigConfig
-from agent.config.tables import Channel
+from agent.config.model.tables import Channel
 from agent.errors import Fault
 from agent.numerics.fitting.constants_asked import Asked, ConstantsAsked
 from agent.numerics.fitting.wiring import Examiner, Finding, Hypothesis

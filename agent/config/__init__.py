@@ -6,28 +6,14 @@
     RigConfig
 """
 
-from agent.config.linear import LinearModel, LinearParameter
 from agent.config.load import load, load_many, parse
+from agent.config.model.linear import LinearModel, LinearParameter
+from agent.config.model.parameters import Parameter
+from agent.config.model.tables import Channel, Element, Mass, MechanicsModel, Model
 from agent.config.plugins import driver_class, driver_entries
 from agent.config.reading.toml_file import files_of
-from agent.config.tables import (
-    Alarm,
-    Channel,
-    Element,
-    Estimator,
-    Forecast,
-    Mass,
-    MechanicsModel,
-    Metrics,
-    Model,
-    Observer,
-    Parameter,
-    Rig,
-    RigConfig,
-    Source,
-    Store,
-    learnt_key,
-)
+from agent.config.results.tables import Forecast, Metrics, Store
+from agent.config.tables import Alarm, Estimator, Observer, Rig, RigConfig, Source, learnt_key
 
 __all__ = [
     "Alarm",

@@ -6,26 +6,14 @@ from typing import Literal
 
 from agent.config.covariates.tables import BaselineTable, Covariate
 from agent.config.domains.plant import Domain, Plant
-from agent.config.linear import LinearModel
+from agent.config.model.linear import LinearModel
+from agent.config.model.parameters import Parameter, parameters_of
+from agent.config.model.tables import Channel, MechanicsModel, Model
 from agent.config.north.tables import North
 from agent.config.process.settings import Agent
 from agent.config.reading.parse import Entry, Faults, readable
-from agent.config.tables import (
-    Alarm,
-    Channel,
-    Columns,
-    Estimator,
-    Forecast,
-    MechanicsModel,
-    Metrics,
-    Model,
-    Notify,
-    Parameter,
-    Rig,
-    Source,
-    Store,
-    parameters_of,
-)
+from agent.config.results.tables import Forecast, Metrics, Notify, Store
+from agent.config.tables import Alarm, Columns, Estimator, Rig, Source
 
 
 @dataclass

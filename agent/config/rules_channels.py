@@ -5,13 +5,13 @@ from typing import Any, Final
 
 from agent.config.covariates.tables import Covariate
 from agent.config.draft import Draft
-from agent.config.linear import LinearModel
+from agent.config.model.linear import LinearModel
+from agent.config.model.tables import Channel, MechanicsModel
 from agent.config.reading.domain_units import QUANTITIES
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Entry, Faults, read_table, readable, unique
 from agent.config.reading.units import conversion, examples, wrong_kind
-from agent.config.tables import Channel, MechanicsModel
 
 ROLES: Final = ("signal", "covariate")
 RESERVED: Final[Mapping[str, str]] = {

@@ -3,9 +3,9 @@
 from typing import Final
 
 from agent.config.draft import Draft
+from agent.config.model.tables import Channel, Mass, MechanicsModel
 from agent.config.reading.fields import Table, shown
 from agent.config.reading.parse import Entry, Faults, readable
-from agent.config.tables import Channel, Mass, MechanicsModel
 
 MOST_PERCENT: Final = 50.0
 """Beyond it a constant is not known but for its sign: it is to be estimated."""

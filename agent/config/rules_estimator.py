@@ -5,10 +5,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from agent.config.draft import Draft
+from agent.config.model.tables import MechanicsModel
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import listing, nearest
 from agent.config.reading.parse import Faults, readable
-from agent.config.tables import Alarm, MechanicsModel, Observer
+from agent.config.tables import Alarm, Observer
 
 MOST_GB = 1.0
 """What the linearised samples of a window may take."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from agent.config.draft import Draft
-from agent.config.linear import ENTRY, MATRICES, LinearModel, LinearParameter
+from agent.config.model.linear import ENTRY, MATRICES, LinearModel, LinearParameter
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import listing
 from agent.config.reading.parse import Entry, Faults, readable, unique

@@ -5,12 +5,12 @@ from collections.abc import Iterable, Iterator
 from agent.config.domains.plant import Domain
 from agent.config.domains.rules import check_template, placed
 from agent.config.draft import Draft
-from agent.config.linear import LinearModel
+from agent.config.model.linear import LinearModel
+from agent.config.model.tables import GROUND, Element, Mass, MechanicsModel
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import listing
 from agent.config.reading.parse import Entry, Faults, readable, unique
 from agent.config.rules_linear import check_linear
-from agent.config.tables import GROUND, Element, Mass, MechanicsModel
 
 
 def check_model(draft: Draft) -> None:

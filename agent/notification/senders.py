@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 
 from agent import __version__
 from agent.config.reading.secrets import Secret
-from agent.config.tables import Notify
+from agent.config.results.tables import Notify
 from agent.notification.message import Message
 
 _PORTS: Final = {"starttls": 587, "tls": 465, "none": 25}

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.clock import wall_ns
-from agent.config.tables import Events
+from agent.config.results.tables import Events
 from agent.recording.ages import Ages
 from agent.recording.event_files import (
     META,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.config.tables import Events
+from agent.config.results.tables import Events
 from agent.recording import event_writer
 from agent.recording.blocks import read_blocks, read_header
 from agent.recording.event_files import EventFolder, Labels, Taken, read_meta

@@ -4,7 +4,7 @@ import numpy as np
 
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain, Plant, Term
-from agent.config.tables import Channel
+from agent.config.model.tables import Channel
 from agent.numerics.model.elements.descriptor import LETTERS, DescriptorModel, Size, Terms
 
 

@@ -8,8 +8,9 @@ from agent.config.domains.plant import GROUND, Domain, Link
 
 if TYPE_CHECKING:
     from agent.config.domains.plant import Plant, Term
-    from agent.config.linear import LinearModel, LinearParameter
-    from agent.config.tables import MechanicsModel, RigConfig
+    from agent.config.model.linear import LinearModel, LinearParameter
+    from agent.config.model.tables import MechanicsModel
+    from agent.config.tables import RigConfig
 
 MOST = 24
 """Elements that can be drawn: more would be a tangle, of which only the boxes are drawn."""

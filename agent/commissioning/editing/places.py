@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from agent.commissioning.editing.toml_text import NUMBER
 from agent.config.domains.plant import Domain
-from agent.config.linear import MATRICES, LinearModel, LinearParameter
+from agent.config.model.linear import MATRICES, LinearModel, LinearParameter
 
 Place = tuple[str | int, ...]
 """Keys and row numbers from [model] on: ("stage", 0, "R")."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from agent.commissioning.identify import elements_of, mechanics, with_blanks
 from agent.config import MechanicsModel, RigConfig
-from agent.config.tables import GROUND, Element
+from agent.config.model.tables import GROUND, Element
 from agent.numerics.identification.start import still
 from agent.numerics.identification.weak_form import Sensing
 from agent.types import FloatArray

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from agent.commissioning.setup.template import keys_of_kind, kind_of, missing_of, model_of, signal_of
-from agent.config.tables import GROUND
+from agent.config.model.tables import GROUND
 from agent.errors import Fault, UsageError
 
 ELEMENTS = {"spring": "k", "damper": "B", "friction": "F"}

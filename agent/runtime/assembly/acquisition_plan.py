@@ -15,7 +15,8 @@ from agent.blocks.acquisition.tuning import LONGEST_STRETCH_S, MOST_STRETCH_SAMP
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import hop_plan, known_noise, rig_model, scale_columns
 from agent.config import LinearModel, RigConfig
-from agent.config.tables import Channel, Source
+from agent.config.model.tables import Channel
+from agent.config.tables import Source
 from agent.numerics.fitting.skew import Group, SkewMeter
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant

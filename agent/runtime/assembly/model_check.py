@@ -8,7 +8,7 @@ import numpy as np
 from agent.blocks.friction import mechanics_of, signals
 from agent.blocks.rig_model import SENSOR_KINDS, RigModel
 from agent.config import RigConfig
-from agent.config.tables import Parameter
+from agent.config.model.parameters import Parameter
 from agent.errors import Fault, ModelError
 from agent.numerics.model.elements.descriptor import DescriptorModel, is_read, with_reading
 from agent.numerics.model.identifiability import Identifiability, identifiability

@@ -4,15 +4,12 @@ import hashlib
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from agent.config.linear import MATRICES
+from agent.config.model.linear import MATRICES
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Faults
-
-if TYPE_CHECKING:
-    pass
 
 LIMIT_BYTES: Final = 50_000_000
 KEYS: Final = ("file", "name")

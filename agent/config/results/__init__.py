@@ -1,0 +1,1 @@
+"""The tables that say what becomes of results: kept, forecast, shown, sent."""

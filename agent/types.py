@@ -151,8 +151,7 @@ class Samples:
 
 PER_HOP = (
     "index", "t_ns", "value", "sd", "lower", "upper", "sd_repeat", "status", "reason", "held", "held_age_s",
-    "window_s",
-    "n_used", "n_missing", "dof",
+    "window_s", "n_used", "n_missing", "dof",
 )  # fmt: skip
 """What an EstimateBatch has a row of an instant of."""
 

@@ -18,9 +18,6 @@ BoolArray = NDArray[np.bool_]
 CodeArray = NDArray[np.uint8]
 ComplexArray = NDArray[np.complex128]
 
-STEP_NS = 1_000_000_000
-"""Settings of the wall clock that are nearer to one another are one, ns."""
-
 _Value = TypeVar("_Value")
 _Event = TypeVar("_Event")
 

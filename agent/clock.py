@@ -7,8 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.types import STEP_NS, IntArray
+from agent.types import IntArray
 
+STEP_NS = 1_000_000_000
+"""Settings of the wall clock that are nearer to one another are one, ns."""
 SLEW = 1e-3
 """Labels run at most this much faster or slower than nominal while they follow the device's drift."""
 SETTLE_NS = 10_000_000_000

@@ -18,9 +18,6 @@ BoolArray = NDArray[np.bool_]
 CodeArray = NDArray[np.uint8]
 ComplexArray = NDArray[np.complex128]
 
-STEP_NS = 1_000_000_000
-"""Settings of the wall clock that are nearer to one another are one, ns."""
-
 _Value = TypeVar("_Value")
 _Event = TypeVar("_Event")
 
@@ -151,8 +148,7 @@ class Samples:
 
 PER_HOP = (
     "index", "t_ns", "value", "sd", "lower", "upper", "sd_repeat", "status", "reason", "held", "held_age_s",
-    "window_s",
-    "n_used", "n_missing", "dof",
+    "window_s", "n_used", "n_missing", "dof",
 )  # fmt: skip
 """What an EstimateBatch has a row of an instant of."""
 

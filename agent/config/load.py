@@ -32,8 +32,7 @@ from agent.errors import ConfigError, Fault
 
 TABLES: Final = (
     "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "baseline",
-    "metrics",
-    "notify", "north", "agent",
+    "metrics", "notify", "north", "agent",
 )  # fmt: skip
 RESERVED: Final = ("http", "mqtt", "security")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
@@ -47,8 +46,7 @@ _KINDS: Final[Mapping[str, type[MechanicsModel] | type[LinearModel] | type[Domai
 }
 _RULES: Final = (
     check_model, check_channels, check_constants, check_estimator, check_alarms, check_sources,
-    check_forecast,
-    check_notify, check_north, check_covariates,
+    check_forecast, check_notify, check_north, check_covariates,
 )  # fmt: skip
 _DELIMITERS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", ",": ",", ";": ";", "\t": "\t"}
 

@@ -248,8 +248,7 @@ def _line(whole: _Mixture, origin: float, size: float, span: float) -> Change:
     p = whole.improbable([1])
     return Change(
         origin + size * level, size * level_sd, slope, slope_sd, lower, upper, slope, slope_sd, 0.0, np.inf,
-        p, 1.0,
-        whole.rates(row, per),
+        p, 1.0, whole.rates(row, per),
     )  # fmt: skip
 
 

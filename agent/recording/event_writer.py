@@ -193,8 +193,7 @@ class EventWriter:
             items = [item for item in job.items if item.source == source]
             own = RawHeader(
                 source, fields, job.moduli.get(source), self._facts.config_sha256, self._facts.code_version,
-                wall_ns(),
-                rig=self._facts.rig,
+                wall_ns(), rig=self._facts.rig,
             )  # fmt: skip
             content = raw_bytes(own, items)
             self._folder.write(Path(job.record.file).name.replace("*", source), content)

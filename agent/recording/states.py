@@ -27,13 +27,12 @@ _PACKAGES: Final = (
 )  # fmt: skip
 _OTHERS: Final = frozenset({
     ("collections", "Counter"), ("collections", "deque"), ("collections", "OrderedDict"),
-    ("functools", "partial"),
-    ("collections", "defaultdict"), ("builtins", "set"), ("builtins", "frozenset"), ("builtins", "complex"),
-    ("builtins", "slice"), ("builtins", "range"), ("builtins", "bytearray"), ("builtins", "list"),
-    ("builtins", "dict"),
-    ("numpy", "dtype"), ("numpy", "ndarray"), ("numpy._core.multiarray", "_reconstruct"),
-    ("numpy._core.multiarray", "scalar"), ("numpy._core.numeric", "_frombuffer"), ("pathlib", "PosixPath"),
-    ("pathlib", "Path"), ("pathlib._local", "PosixPath"), ("numpy.random._pickle", "__generator_ctor"),
+    ("functools", "partial"), ("collections", "defaultdict"), ("builtins", "set"), ("builtins", "frozenset"),
+    ("builtins", "complex"), ("builtins", "slice"), ("builtins", "range"), ("builtins", "bytearray"),
+    ("builtins", "list"), ("builtins", "dict"), ("numpy", "dtype"), ("numpy", "ndarray"),
+    ("numpy._core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "scalar"),
+    ("numpy._core.numeric", "_frombuffer"), ("pathlib", "PosixPath"), ("pathlib", "Path"),
+    ("pathlib._local", "PosixPath"), ("numpy.random._pickle", "__generator_ctor"),
     ("numpy.random._pickle", "__bit_generator_ctor"), ("numpy.random._pcg64", "PCG64"),
 })  # fmt: skip
 

@@ -113,9 +113,8 @@ class IsolatedPipeline:
     def _alarm(self, message: str, *, lost: bool) -> AlarmTransition:
         return AlarmTransition(
             rig=self._rig, kind="source", parameter=ESTIMATION, priority="high",
-            t_ns=self._pipeline.newest_ns,
-            from_state="NORM" if lost else "UNACK", to_state="UNACK" if lost else "RTNUN",
-            cause="raise" if lost else "clear", message=message,
+            t_ns=self._pipeline.newest_ns, from_state="NORM" if lost else "UNACK",
+            to_state="UNACK" if lost else "RTNUN", cause="raise" if lost else "clear", message=message,
         )  # fmt: skip
 
 

@@ -281,8 +281,7 @@ def writer_of(rigs: Sequence[RigConfig], db: Path) -> StoreWriter:
     runs = [
         RunInfo(
             rig.rig.name, "replay", wall_ns(), __version__, rig.sha256, boot_id=boot_id(),
-            learnt_key=learnt_key(rig),
-            site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
+            learnt_key=learnt_key(rig), site=rig.rig.site, labels=rig.rig.labels, graph=graph_of(rig),
         )
         for rig in rigs
     ]  # fmt: skip

@@ -87,8 +87,7 @@ class RunSummary:
             "rig": change.rig, "run_id": self.run_id, "kind": change.kind, "parameter": change.parameter,
             "priority": change.priority, "state": change.to_state, "raised_at": iso_time(change.t_ns),
             "raised_ns": change.t_ns, "cleared_at": None, "acked_at": None, "acked_by": None,
-            "shelved_until": None,
-            "delta": change.delta, "sd": change.sd, "limit_value": change.limit_value,
+            "shelved_until": None, "delta": change.delta, "sd": change.sd, "limit_value": change.limit_value,
             "probability": change.probability, "message": change.message, "advice": change.advice,
             "percent": change.percent, "site": self.config.rig.site,
             "labels": dict(self.config.rig.labels) or None,
@@ -105,10 +104,8 @@ class RunSummary:
         span = samples["used"] / self.config.rig.sample_rate_hz
         return {
             "rig": self.config.rig.name, "db": self.db, "run_id": self.run_id, "samples": samples,
-            "faults": self.faults(), "span_s": span,
-            "windows": self.windows, "estimates": self.estimates(), "alarms": self._alarms,
-            "advice": self._advice,
-            "seconds": seconds,
+            "faults": self.faults(), "span_s": span, "windows": self.windows, "estimates": self.estimates(),
+            "alarms": self._alarms, "advice": self._advice, "seconds": seconds,
             "samples_per_s": samples["received"] / seconds if seconds > 0 else None,
         }  # fmt: skip
 

@@ -114,8 +114,3 @@ def slot_layout(fields: Sequence[FieldSpec], orders: tuple[Order, Order]) -> Lay
 def slots_of(data: ByteArray, layout: Layout) -> ByteArray:
     """Return register bytes as slots, (n, layout.size)."""
     return data.reshape(-1, layout.size)
-
-
-def registers_of(slots: ByteArray) -> NDArray[np.uint16]:
-    """Return slots (n, size) as register values, (n * size / 2,): what a device puts into its registers."""
-    return np.ascontiguousarray(slots).reshape(-1).view(">u2").astype(np.uint16)

@@ -7,10 +7,10 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.conformance import DriverConformance, Line
-from drivers.fields import Layout
-from drivers.modbus.codec import registers_of
+from drivers.fields import ByteArray, Layout
 from drivers.modbus.driver import ModbusDriver
 from drivers.modbus.settings import ModbusSettings
 from drivers.port import FloatArray, SourceRequest
@@ -22,6 +22,11 @@ FIELDS = [
     {"name": "x2", "type": "float32"},
 ]
 SLOTS = 500
+
+
+def registers_of(slots: ByteArray) -> NDArray[np.uint16]:
+    """Slots (n, size) as register values, (n * size / 2,): what a device puts into its registers."""
+    return np.ascontiguousarray(slots).reshape(-1).view(">u2").astype(np.uint16)
 
 
 class RingLine(Line):

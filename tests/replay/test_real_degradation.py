@@ -12,9 +12,10 @@ from agent.prognosis.change import change
 from agent.prognosis.forecast import Forecast, forecast, learn_from
 from agent.prognosis.history import History
 from agent.prognosis.posterior import BRIEF, FULL, Effort
-from agent.prognosis.scores import before_limit, crps, held
+from agent.prognosis.scores import crps
 from tests.figures import figure
 from tests.peers import data
+from tests.unit.prognosis.calibration import held
 
 DAY = 86_400.0
 SHARES = (0.3, 0.5, 0.7, 0.9)
@@ -76,7 +77,7 @@ class Score:
             return
         remains, now = end - float(seen.t[-1]), float(seen.t[-1])
         self.held.append(held(made.p10, made.p90, remains))
-        self.crps.append(crps(before_limit(made.passages, 50.0 * end), remains) / end)
+        self.crps.append(crps(np.minimum(made.passages, 50.0 * end), remains) / end)
         rate = (seen.value[-1] - seen.value[0]) / (seen.t[-1] - seen.t[0])
         left = others[others > now] if (others > now).any() else np.array([now])
         self.rivals.append(

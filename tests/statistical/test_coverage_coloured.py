@@ -13,7 +13,7 @@ QUICK = {
     "AR(1) 0.9": 8,
     "force on m1": 9,
     "16 bits": 12,
-    "16 bits, recorded": 9,
+    "16 bits, recorded": 15,
     "200 us of jitter": 8,
     "200 us of jitter above all": 8,
     "200 us of jitter beside a stated noise": 8,

@@ -11,11 +11,9 @@ from tests.statistical.nearly_right import CASES, Case, Found, play, together
 QUICK_WINDOWS, FULL_WINDOWS, FULL_RECORDINGS = 30, 100, 3
 FIRST_SEED = 5000
 QUICK = (
-    "right", "right, three masses", "noise x 0.5", "m1 +5 %", "middle mass +8 %",
-    "x2 reads 5 % more, three masses",
-    "held, hold first, one mass", "held, hold first, accelerometers",
-    "hum", "driving-point accelerometer", "gain by poles", "mass 3 % and hum",
-    "noise x 0.83 and m2 +5 %", "force noise and x2 +4 %",
+    "right", "noise x 0.5", "m1 +5 %", "middle mass +8 %", "x2 reads 5 % more, three masses",
+    "held, hold first, one mass", "hum", "driving-point accelerometer", "mass 3 % and hum",
+    "force noise and x2 +4 %",
 )  # fmt: skip
 SLACK_SD = 3.0
 """Standard deviations of a count by which a share may lie below its bound."""

@@ -109,8 +109,7 @@ class SkewWatch:
         """Return a watch that measures from row `since` on, and expects what this one found."""
         watch = SkewWatch(
             self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest,
-            self.rate_hz,
-            self.complete, since=since, needed=needed, budget=self.budget,
+            self.rate_hz, self.complete, since=since, needed=needed, budget=self.budget,
             _patience_s=SKEW_PATIENCE_ANEW_S,
         )  # fmt: skip
         watch.skew_s, watch._theta = self.skew_s, self._theta

@@ -117,9 +117,8 @@ class PrognosisAlarms:
         change = AlarmTransition(
             rig=self._rig, kind=kind, parameter=rule.parameter, priority=rule.priority, t_ns=outlook.t_ns,
             from_state=before, to_state=after, cause="raise" if found.raised else "clear",
-            message=found.words,
-            delta=found.delta, sd=found.sd, limit_value=found.limit, probability=found.probability,
-            advice=rule.advice,
+            message=found.words, delta=found.delta, sd=found.sd, limit_value=found.limit,
+            probability=found.probability, advice=rule.advice,
         )  # fmt: skip
         return [change]
 

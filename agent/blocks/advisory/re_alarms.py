@@ -49,6 +49,5 @@ class ReAlarms:
         words = f"{parameter}: acknowledged {rule.re_alarm_s:g} s ago and not over"
         return AlarmTransition(
             rig=self._rig, kind=kind, parameter=parameter, priority=rule.priority, t_ns=t_ns,
-            from_state="ACKED",
-            to_state="UNACK", cause="re-alarm", message=words, advice=rule.advice,
+            from_state="ACKED", to_state="UNACK", cause="re-alarm", message=words, advice=rule.advice,
         )  # fmt: skip

@@ -143,10 +143,8 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
 
     keys = {
         "interface": interface, "channel": bus_channel, "dbc": dbc, "host": host, "port": port,
-        "baudrate": baudrate,
-        "columns": columns, "sync": sync, "fields": fields, "crc": crc, "device_id": device_id,
-        "index": index,
-        "ring": ring,
+        "baudrate": baudrate, "columns": columns, "sync": sync, "fields": fields, "crc": crc,
+        "device_id": device_id, "index": index, "ring": ring,
     }  # fmt: skip
     elements = {"spring": spring, "damper": damper, "friction": friction}
     model = (kind, element or [])

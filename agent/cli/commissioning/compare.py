@@ -26,8 +26,7 @@ def print_compared(document: Document) -> None:
         (
             name, *(_estimate(row["estimates"][parameter]) for parameter in names),
             number(row["prediction_rms"], 3),
-            number(row["prediction_percent"], 3),
-            number(row["cost_us_per_sample"], 3), row["tuned"],
+            number(row["prediction_percent"], 3), number(row["cost_us_per_sample"], 3), row["tuned"],
         )
         for name, row in methods.items()
     )  # fmt: skip

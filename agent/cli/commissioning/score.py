@@ -43,12 +43,10 @@ def _row(scored: Mapping[str, Any]) -> Sequence[str]:
     delays = [one["delay_s"] for one in alarms["excursions"] if one["delay_s"] is not None]
     recoveries = [fault["recovery_s"] for fault in scored["faults"]]
     return (
-        scored["scenario"], "ok" if scored["ok"] else "NOT MET",
-        _worst(error["rms_sd"] for error in errors),
-        number(min((error["covered_percent"] for error in errors), default=None), 3),
-        _worst(delays), str(len(alarms["missed"])), str(len(alarms["false"])), str(scored["samples"]["lost"]),
-        str(scored["samples"]["gaps"]),
-        "never" if None in recoveries else _worst(recoveries),
+        scored["scenario"], "ok" if scored["ok"] else "NOT MET", _worst(error["rms_sd"] for error in errors),
+        number(min((error["covered_percent"] for error in errors), default=None), 3), _worst(delays),
+        str(len(alarms["missed"])), str(len(alarms["false"])), str(scored["samples"]["lost"]),
+        str(scored["samples"]["gaps"]), "never" if None in recoveries else _worst(recoveries),
         ", ".join(cause for _, cause in scored["events"]),
     )  # fmt: skip
 

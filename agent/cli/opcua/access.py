@@ -138,11 +138,9 @@ class Rules:
 
 _ALLOWED: Final = (
     "CreateSession", "CloseSession", "ActivateSession", "CloseSecureChannel", "GetEndpoints", "FindServers",
-    "Read",
-    "Browse", "TranslateBrowsePathsToNodeIds", "CreateSubscription", "ModifySubscription",
-    "DeleteSubscriptions",
-    "CreateMonitoredItems", "ModifyMonitoredItems", "DeleteMonitoredItems", "Publish", "Republish", "Call",
-    "SetMonitoringMode", "SetPublishingMode", "RegisterNodes", "UnregisterNodes",
+    "Read", "Browse", "TranslateBrowsePathsToNodeIds", "CreateSubscription", "ModifySubscription",
+    "DeleteSubscriptions", "CreateMonitoredItems", "ModifyMonitoredItems", "DeleteMonitoredItems", "Publish",
+    "Republish", "Call", "SetMonitoringMode", "SetPublishingMode", "RegisterNodes", "UnregisterNodes",
 )  # fmt: skip
 
 

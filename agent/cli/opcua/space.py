@@ -10,8 +10,7 @@ Row = Mapping[str, Any]
 NAMESPACE: Final = "urn:deltak:rigs"
 FIGURES: Final[Mapping[str, str]] = {
     "lower": "Lower", "upper": "Upper", "sd": "Sd", "delta": "Delta", "reference": "Reference",
-    "limit": "Limit",
-    "window_s": "WindowSeconds",
+    "limit": "Limit", "window_s": "WindowSeconds",
 }  # fmt: skip
 """What stands beside a parameter, by column of the overview: numbers of the newest window."""
 TEXTS: Final[Mapping[str, str]] = {"status": "Status", "reason": "Reason"}

@@ -18,9 +18,8 @@ from agent.text import iso_time, number, with_local
 Row = Mapping[str, Any]
 ALARM_COLUMNS = (
     "id", "rig", "run_id", "kind", "parameter", "priority", "state", "raised_at", "cleared_at", "acked_at",
-    "acked_by",
-    "shelved_until", "delta", "sd", "limit_value", "probability", "message", "advice", "percent", "site",
-    "labels",
+    "acked_by", "shelved_until", "delta", "sd", "limit_value", "probability", "message", "advice", "percent",
+    "site", "labels",
 )  # fmt: skip
 KINDS: Final = {
     "level": "a parameter has left its limit",

@@ -73,8 +73,7 @@ def _message(rig: RigConfig, target: Notify) -> Message:
     return message_of({
         **facts, "rig": rig.rig.name, "site": rig.rig.site, "event_id": "test", "alarm_id": 0, "kind": "test",
         "parameter": target.name, "priority": "low", "from_state": "NORM", "to_state": "NORM",
-        "cause": "test",
-        "t_ns": wall_ns(), "message": said, "advice": "nothing",
+        "cause": "test", "t_ns": wall_ns(), "message": said, "advice": "nothing",
     })  # fmt: skip
 
 

@@ -13,8 +13,7 @@ FORMS = ("", ".csv", ".parquet")
 """Ends of names that can be written; without one it is CSV."""
 EXPORTS = (
     "estimates", "alarms", "alarm_events", "health", "runs", "event_records", "verdicts", "baselines",
-    "forecast",
-    "covariates",
+    "forecast", "covariates",
 )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """`deltak estimates`, `records` and `verdicts`: rows of the views, as a table, JSON or CSV."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,12 @@ Row = Mapping[str, Any]
 
 ESTIMATE_COLUMNS = (
     "rig", "run_id", "time", "t_ns", "parameter", "unit", "value", "delta", "reference", "baseline_id", "sd",
-    "lower",
-    "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used", "n_missing", "span_s", "method",
-    "sd_repeat",
+    "lower", "upper", "status", "reason", "held", "held_age_s", "window_s", "n_used", "n_missing", "span_s",
+    "method", "sd_repeat",
 )  # fmt: skip
 RECORD_COLUMNS = (
     "id", "rig", "run_id", "t_ns", "time", "kind", "parameter", "alarm_id", "alarms", "from_ns", "to_ns",
-    "samples",
-    "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
+    "samples", "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
 )  # fmt: skip
 VERDICT_COLUMNS = ("rig", "run_id", "t_ns", "time", "hypothesis", "size", "sd", "unit", "probability")
 TABLE_ROWS = 40
@@ -33,28 +31,26 @@ def estimates(
 ) -> None:
     """Print a file's estimates. Raises StoreError; UsageError for a senseless rig, parameter or time."""
     rows = queries.estimates(db, rig, parameter, since, until)
-    if form == "table":
-        _print_estimate_table(rows)
-    else:
-        print_rows("rows", ESTIMATE_COLUMNS, rows, form, rows.refused)
+    _print(rows, "rows", ESTIMATE_COLUMNS, form, _print_estimate_table)
 
 
 def records(db: Path, rig: str | None, form: str) -> None:
     """Print the index of event records. Raises StoreError; UsageError for an unknown rig."""
-    rows = queries.event_records(db, rig)
-    if form == "table":
-        _print_record_table(rows)
-    else:
-        print_rows("records", RECORD_COLUMNS, rows, form, rows.refused)
+    _print(queries.event_records(db, rig), "records", RECORD_COLUMNS, form, _print_record_table)
 
 
 def verdicts(db: Path, rig: str | None, form: str) -> None:
     """Print what is believed of the rigs' constants. Raises StoreError; UsageError for an unknown rig."""
-    rows = queries.verdicts(db, rig)
+    _print(queries.verdicts(db, rig), "verdicts", VERDICT_COLUMNS, form, _print_verdict_table)
+
+
+def _print(
+    rows: queries.Rows, what: str, columns: Sequence[str], form: str, table: Callable[[queries.Rows], None]
+) -> None:
     if form == "table":
-        _print_verdict_table(rows)
+        table(rows)
     else:
-        print_rows("verdicts", VERDICT_COLUMNS, rows, form, rows.refused)
+        print_rows(what, columns, rows, form, rows.refused)
 
 
 def _print_estimate_table(rows: Sequence[Row]) -> None:

@@ -133,8 +133,7 @@ def _document(switch: Switch, expected: Rigs, *, changed: bool) -> Document:
     kept = [str(copies.copy_of(path, switch.version)) for path in switch.kept]
     return {
         "from": switch.former, "to": switch.version, "changed": changed,
-        "rigs": sorted(rig for _, rig in expected),
-        "copies": kept,
+        "rigs": sorted(rig for _, rig in expected), "copies": kept,
     }  # fmt: skip
 
 

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 MOST_LISTENERS: Final = 600
 _TYPES: Final = {
     ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml", ".txt": "text/plain; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml", ".txt": "text/plain; charset=utf-8",
 }  # fmt: skip
 _OPEN_PATHS: Final = ("/", "/static", "/api/v1/session")
 """What is answered without a session where reading needs one too: the page itself, and signing in."""

@@ -93,8 +93,7 @@ def _rows_of(key: str, ask: Callable[[Watched, Asked], Rows]) -> Make:
 def _estimates(database: Watched, asked: Asked) -> Rows:
     return queries.estimates(
         database.path, asked.get("rig"), asked.get("parameter"), asked.get("since", "60s"),
-        asked.get("until"),
-        most=MOST_INSTANTS,
+        asked.get("until"), most=MOST_INSTANTS,
     )  # fmt: skip
 
 

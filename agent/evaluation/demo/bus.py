@@ -54,8 +54,7 @@ class Wire:
         )
         return {
             "BITS": str(self.bits), "FRAME_BYTES": str(size),
-            "FD": "true" if size > CLASSIC_BYTES else "false",
-            "FIELDS": "\n".join(fields),
+            "FD": "true" if size > CLASSIC_BYTES else "false", "FIELDS": "\n".join(fields),
             "FIELD_MAP": ", ".join(f'{n.channel} = "{n.channel}"' for n in numbers),
             "SIGNALS": "\n".join(self._signal(1 + i, n) for i, n in enumerate(numbers)),
             "SIGNAL_MAP": ", ".join(f'{n.channel} = "RIG_SAMPLE.{n.signal}"' for n in numbers),

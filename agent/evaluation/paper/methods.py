@@ -50,8 +50,7 @@ def _product_settings(window: int, hop: int) -> EstimatorSettings:
     model = replace(cases.rig(), forces=("m2", "m1", "m2"))
     rig = Rig(
         model, 4, np.arange(1), np.ones(1, dtype=bool), np.array([1, 2]), (), cases.PERIOD_S, "zero",
-        cases.NOMINAL,
-        0.02 * cases.NOMINAL,
+        cases.NOMINAL, 0.02 * cases.NOMINAL,
     )  # fmt: skip
     return EstimatorSettings(
         rig=rig, plan=HopPlan(window, hop), longer=(), sigma=np.full(2, np.nan),

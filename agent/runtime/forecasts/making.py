@@ -194,8 +194,7 @@ def _record(cause: str, seen: _Seen, made: Forecast, limit: float) -> ForecastRe
     ]
     return ForecastRecord(
         points.rig, points.parameter, newest, seen.level, limit, made.status, instant(made.p10),
-        instant(made.p50),
-        instant(made.p90), made.chance, made.horizon * 86_400.0,
+        instant(made.p50), instant(made.p90), made.chance, made.horizon * 86_400.0,
         json.dumps({name: round(weight, 4) for name, weight in made.family.items()}), json.dumps(draws),
         cause,
     )  # fmt: skip

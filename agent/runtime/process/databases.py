@@ -93,8 +93,7 @@ def runs_of(configs: Sequence[RigConfig], kind: RunKind) -> list[RunInfo]:
     return [
         RunInfo(
             c.rig.name, kind, now, __version__, c.sha256, None, boot, learnt_key(c), offset, c.rig.site,
-            c.rig.labels,
-            graph_of(c),
+            c.rig.labels, graph_of(c),
         ) for c in configs
     ]  # fmt: skip
 

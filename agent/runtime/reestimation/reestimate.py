@@ -169,8 +169,7 @@ class Reestimation:
         return {
             "runs": runs, "scheduler": self.wanted.scheduler, "workers": self.pool.size, "parts": self.parts,
             "repeated": self.repeated, "made_at_ns": wall_ns(), "seconds": seconds,
-            "samples_per_s": received / seconds if seconds > 0 else None,
-            "errors": self.faults,
+            "samples_per_s": received / seconds if seconds > 0 else None, "errors": self.faults,
         }  # fmt: skip
 
 

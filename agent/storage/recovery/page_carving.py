@@ -19,8 +19,7 @@ _LEAF = 0x0D
 _WAL_HEADER, _FRAME_HEADER = 32, 24
 _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health",
-    "events",
-    "event_records", "learnt", "hypotheses", "shelves", "annotations", "sites",
+    "events", "event_records", "learnt", "hypotheses", "shelves", "annotations", "sites",
     "graphs", "baselines", "forecasts", "covariates", "conditions",
 )  # fmt: skip
 _CARVED_AT_ONCE = 10_000

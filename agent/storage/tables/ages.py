@@ -13,7 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 
-from agent.types import STEP_NS, ClockRecord, RunInfo
+from agent.clock import STEP_NS
+from agent.types import ClockRecord, RunInfo
 
 CONFIRMED_NS = 24 * 3600 * 10**9
 """A wall clock is confirmed once consecutive stamps cover so much running time, over more than one run."""

@@ -93,8 +93,7 @@ class AlarmRows:
     def _raised(self, step: AlarmTransition, numbers: Numbers) -> AlarmRow:
         return AlarmRow(
             numbers.take("alarms"), self._run_id, step.kind, step.parameter, step.priority, step.to_state,
-            step.t_ns,
-            None, None, None, None, *_figures(step), step.message,
+            step.t_ns, None, None, None, None, *_figures(step), step.message,
         )  # fmt: skip
 
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.clock import STEP_NS
 from agent.storage.tables.batches import take
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.types import STEP_NS, ClockRecord, EstimateBatch, RunInfo
+from agent.types import ClockRecord, EstimateBatch, RunInfo
 
 _MOST_ANCHORS = 1000
 

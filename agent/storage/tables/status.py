@@ -43,8 +43,7 @@ class HealthRows:
 def _reasons(record: Health) -> str | None:
     kinds = {
         "rejected": _counted(record.rejected), "dropped": _counted(record.dropped),
-        "faults": _counted(record.faults),
-        "clock": _figures(record.clock),
+        "faults": _counted(record.faults), "clock": _figures(record.clock),
     }  # fmt: skip
     known = {kind: reasons for kind, reasons in kinds.items() if reasons}
     return json.dumps(known, sort_keys=True) if known else None

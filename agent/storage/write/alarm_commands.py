@@ -22,9 +22,8 @@ MOST_TEXT: Final = 1000
 MOST_ALARMS: Final = 1000
 _DONE: Final[Mapping[Cause, str]] = {
     "acknowledge": "acknowledged", "shelve": "shelved", "unshelve": "unshelved",
-    "out of service": "out of service",
-    "return": "returned to service", "expire": "no longer shelved, its time is over",
-    "re-alarm": "acknowledged for long and not over",
+    "out of service": "out of service", "return": "returned to service",
+    "expire": "no longer shelved, its time is over", "re-alarm": "acknowledged for long and not over",
 }  # fmt: skip
 
 
@@ -138,8 +137,7 @@ class Taken:
             "id": self.row.seq, "rig": step.rig, "kind": step.kind, "parameter": step.parameter,
             "from_state": step.from_state, "to_state": step.to_state, "cause": step.cause, "by": step.by,
             "comment": step.comment, "t_ns": step.t_ns,
-            "shelved_until": None if until is None else iso_time(until),
-            "message": self.row.message,
+            "shelved_until": None if until is None else iso_time(until), "message": self.row.message,
         }  # fmt: skip
 
 
@@ -257,8 +255,7 @@ def _taken(store: Store, found: Found, request: Request, now: Moment) -> Taken |
     shelf = _shelf(store, found, request.length_ns, now) if request.length_ns is not None else None
     step = AlarmTransition(
         found.rig, kind_of(row), row.parameter, row.priority, now.wall_ns, found.alarm.state, alarm.state,
-        cause,
-        f"{row.parameter}: {_DONE[cause]}", by=request.by, comment=request.comment,
+        cause, f"{row.parameter}: {_DONE[cause]}", by=request.by, comment=request.comment,
     )  # fmt: skip
     return Taken(found, _row_after(row, step, shelf), step, shelf)
 

@@ -112,9 +112,8 @@ def grouped(columns: Sequence[ArrayLike], span: int, source: int) -> Groups:
     return Groups(
         period[starts], series[starts], mean, mean_sd, mean_repeat,
         _least(np.where(valid, low, np.nan), starts, np.fmin),
-        _least(np.where(valid, high, np.nan), starts, np.fmax),
-        np.add.reduceat(n, starts), np.add.reduceat(n_valid, starts),
-        np.maximum.reduceat(_ranked(worst), starts) & 0xFFFF,
+        _least(np.where(valid, high, np.nan), starts, np.fmax), np.add.reduceat(n, starts),
+        np.add.reduceat(n_valid, starts), np.maximum.reduceat(_ranked(worst), starts) & 0xFFFF,
         np.maximum.reduceat(window, starts), np.add.reduceat(used, starts), np.add.reduceat(missing, starts),
     )  # fmt: skip
 

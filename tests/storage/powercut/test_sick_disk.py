@@ -135,7 +135,7 @@ def plan(seen: dict[str, int], every: int) -> Iterator[tuple[str, int, int, int]
 
 
 @pytest.mark.parametrize("start", ["first", "later"])
-@pytest.mark.parametrize("every", [40, pytest.param(1, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
+@pytest.mark.parametrize("every", [80, pytest.param(1, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])])
 def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(
     ward: Ward, start: str, every: int
 ) -> None:
@@ -170,7 +170,7 @@ def test_operation_that_fails_costs_nothing_acknowledged_and_is_told(
 
 @pytest.mark.parametrize(("kind", "mended"), [("S", True), ("S", False), ("D", True), ("D", False)])
 @pytest.mark.parametrize(
-    ("every", "count"), [(8, 8), pytest.param(1, 200, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])]
+    ("every", "count"), [(12, 6), pytest.param(1, 200, marks=[pytest.mark.soak, pytest.mark.timeout(7200)])]
 )
 def test_sync_that_failed_is_never_taken_for_done(
     ward: Ward, rng: np.random.Generator, every: int, count: int, kind: str, mended: bool

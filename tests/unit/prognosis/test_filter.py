@@ -6,7 +6,7 @@ import scoringrules
 from statsmodels.tsa.statespace.structural import UnobservedComponents
 
 from agent.prognosis.filter import State, Walk, run_filter
-from agent.prognosis.scores import crps, held, pit
+from agent.prognosis.scores import crps
 
 
 def test_filter_likelihood_is_that_of_statsmodels(rng: np.random.Generator) -> None:
@@ -35,9 +35,3 @@ def test_crps_is_that_of_scoringrules(rng: np.random.Generator) -> None:
         assert crps(draws, came) == pytest.approx(
             float(scoringrules.crps_ensemble(came, draws, estimator="nrg")), abs=1e-9
         )
-
-
-def test_pit_and_held_of_plain_cases() -> None:
-    assert pit(np.arange(10.0), 2.5) == 0.3
-    assert held(1.0, 2.0, 2.0)
-    assert not held(1.0, 2.0, 2.1)

@@ -10,8 +10,8 @@ from agent.prognosis.family import way_left
 from agent.prognosis.forecast import Forecast, forecast, learn_from, plain_prior, readings_of
 from agent.prognosis.history import History
 from agent.prognosis.posterior import BRIEF, FULL, Effort
-from agent.prognosis.scores import pit
 from tests.figures import figure
+from tests.unit.prognosis.calibration import pit
 from tests.unit.prognosis.histories import LIMIT, bent, hardly_moved, straight
 from tests.unit.prognosis.laws import cracking, of_the_family
 

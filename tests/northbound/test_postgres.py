@@ -32,8 +32,6 @@ PLANTED = "PLANTED-5ecret-0f-the-database"
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     folder = tmp_path_factory.mktemp("server")
-    for parent in (folder, *folder.parents[:3]):
-        parent.chmod(0o755)  # so that nobody gets in
     with postgres(folder, PLANTED) as port:
         yield port
 

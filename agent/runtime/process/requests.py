@@ -55,7 +55,7 @@ class Request:
 
 
 @contextmanager
-def noted(number: Signals, name: str) -> Iterator[Request]:
+def asked_by(number: Signals, name: str) -> Iterator[Request]:
     """Have a signal be a request inside; nobody is ended by it."""
     request = Request(name)
     previous = signal(number, request)

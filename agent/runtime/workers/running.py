@@ -13,7 +13,7 @@ from agent.errors import ConfigError, Fault
 from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.process.databases import RunKind
 from agent.runtime.process.memory import keep_heap_small
-from agent.runtime.process.requests import noted
+from agent.runtime.process.requests import asked_by
 from agent.runtime.service import Reread, Service
 from agent.runtime.workers.spread import wanted_workers
 from drivers.port import DriverConfigError
@@ -36,14 +36,14 @@ def run(
 
     with ExitStack() as signals:
         # a closed terminal ends the agent, a SIGHUP while it starts does not
-        hangup = None if os.isatty(0) else signals.enter_context(noted(signal.SIGHUP, "reload"))
+        hangup = None if os.isatty(0) else signals.enter_context(asked_by(signal.SIGHUP, "reload"))
         rigs = reread()
         started = monotonic_ns()
         try:
             service = _service(rigs, db, kind, reread)
         except DriverConfigError as error:
             raise source_error(rigs, error) from error
-        signals.enter_context(noted(signal.SIGTERM, "stop")).begin(service.stop)
+        signals.enter_context(asked_by(signal.SIGTERM, "stop")).begin(service.stop)
         if hangup is not None:
             hangup.begin(service.reload)
         with service.lines.kept():

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from agent.runtime.process.requests import noted
+from agent.runtime.process.requests import asked_by
 from agent.runtime.workers import running
 from tests.scenario.live import wait_until
 
@@ -33,7 +33,7 @@ class Act:
 
 def test_storm_of_signals_while_one_is_acted_upon_is_one_more_request_and_no_thread() -> None:
     act = Act()
-    with noted(signal.SIGHUP, "reload") as request:
+    with asked_by(signal.SIGHUP, "reload") as request:
         request.begin(act)
         signal.raise_signal(signal.SIGHUP)
         wait_until(lambda: act.begun == 1, "the first")
@@ -52,7 +52,7 @@ def test_failure_is_logged_and_the_next_signal_is_acted_upon(caplog: pytest.LogC
     act = Act()
     act.fails = True
     act.goes_on.set()
-    with noted(signal.SIGHUP, "reload") as request, caplog.at_level(logging.ERROR):
+    with asked_by(signal.SIGHUP, "reload") as request, caplog.at_level(logging.ERROR):
         request.begin(act)
         for count in (1, 2):
             signal.raise_signal(signal.SIGHUP)

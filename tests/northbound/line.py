@@ -6,6 +6,7 @@ import select
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import threading
 from collections.abc import Iterator, Sequence
@@ -147,17 +148,23 @@ class Server:
     Args:
         port: where it listens.
         command, settings: how it is started; settings are those of Popen.
+        asking: a command that succeeds once it takes requests, where that is later than that it listens.
     """
 
-    def __init__(self, port: int, command: Sequence[str | Path], **settings: Any) -> None:
+    def __init__(
+        self, port: int, command: Sequence[str | Path], asking: Sequence[str] = ("true",), **settings: Any
+    ) -> None:
         self.port = port
-        self._command, self._settings = command, settings
+        self._command, self._settings, self._asking = command, settings, asking
         self.start()
 
     def start(self) -> None:
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "start_new_session": True}
         self._process = subprocess.Popen(self._command, **quiet, **self._settings)
         wait_for_port(self.port)
+        wait_until(
+            lambda: subprocess.run(self._asking, check=False).returncode == 0, "it to take requests", 20
+        )
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal to all its processes, as systemd does to those of a unit."""
@@ -204,6 +211,14 @@ def mosquitto(folder: Path, settings: str = "allow_anonymous true") -> Iterator[
         yield server.port
 
 
+def _let_pass(folder: Path) -> None:
+    """Let others through to a folder; whatever else may be done on the way stays as it is."""
+    for one in (folder, *folder.parents):
+        mode = stat.S_IMODE(one.stat().st_mode)
+        if not mode & stat.S_IXOTH:
+            one.chmod(mode | stat.S_IXOTH | stat.S_IROTH)
+
+
 @contextmanager
 def database(folder: Path, password: str | None = None) -> Iterator[Server]:
     """Run PostgreSQL on loopback, as nobody where the tests are root; its superuser is `deltak`."""
@@ -212,7 +227,7 @@ def database(folder: Path, password: str | None = None) -> Iterator[Server]:
     initdb, postmaster = program("initdb", "postgresql"), program("postgres", "postgresql")
     port, home = free_port(), folder / "postgres"
     home.mkdir()
-    folder.chmod(0o755)
+    _let_pass(folder)
     word = home / "word"
     word.write_text(password or "none", encoding="utf-8")
     if os.getuid() == 0:
@@ -224,7 +239,8 @@ def database(folder: Path, password: str | None = None) -> Iterator[Server]:
                     "UTF8"], check=True, capture_output=True, cwd=home, **user)  # fmt: skip
     command = [postmaster, "-D", home / "data", "-p", str(port), "-k", home, "-h", "127.0.0.1", "-F", "-c",
                "shared_buffers=1MB", "-c", "logging_collector=off"]  # fmt: skip
-    server = Server(port, command, cwd=home, **user)
+    asking = [program("pg_isready", "postgresql"), "-q", "-h", "127.0.0.1", "-p", str(port)]
+    server = Server(port, command, asking, cwd=home, **user)
     try:
         yield server
     finally:

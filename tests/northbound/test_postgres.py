@@ -32,8 +32,6 @@ PLANTED = "PLANTED-5ecret-0f-the-database"
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     folder = tmp_path_factory.mktemp("server")
-    for parent in (folder, *folder.parents[:3]):
-        parent.chmod(0o755)  # so that nobody gets in
     with postgres(folder, PLANTED) as port:
         yield port
 
@@ -153,3 +151,14 @@ def test_fleet_of_a_server_says_what_it_says_of_the_database(memory: Path, serve
             fleet([wrong], "90d", None, 20.0)
         assert PLANTED not in str(error.value)
         assert PLANTED[::-1] not in str(error.value)
+
+
+@pytest.mark.parametrize("address", [
+    "postgresql://deltak:{}%zz@127.0.0.1:1/db", "postgresql://127.0.0.1:1/db?password={}%zz",
+    "postgresql://deltak:a@{}@127.0.0.1:1/db", "postgresql://deltak:a/{}@127.0.0.1:1/db",
+    "postgresql://deltak:{}@127.0.0.1:1/db",
+])  # fmt: skip
+def test_address_that_is_none_is_refused_without_the_password_in_it(address: str) -> None:
+    with pytest.raises(UsageError) as error:
+        fleet([address.format(PLANTED)], "90d", None, 20.0)
+    assert PLANTED not in str(error.value)

@@ -14,8 +14,8 @@ from agent.blocks.acquisition.indexing import Indexer
 from agent.config import RigConfig, driver_class, load
 from agent.runtime.limits import LONGEST_ROUND_S
 from agent.runtime.pipeline import Pipeline
+from agent.runtime.process.requests import Request
 from agent.runtime.service import Service, _rest_s
-from agent.runtime.workers.running import _caller
 from agent.types import EstimateBatch, FloatArray, Record
 from drivers.port import Driver, SampleBlock, SourceRequest
 from sim_bus.rig.scenario import load_scenario
@@ -77,12 +77,15 @@ def test_rounds_rest_three_times_as_long_as_they_take_where_none_waits_too_long_
 
 def test_signal_amid_a_wait_does_not_wait_for_the_lock_that_the_wait_holds(tmp_path: Path) -> None:
     service = Service([load(example("modbus", tmp_path))], tmp_path / "rig.db", "live")
-    handler = threading.Thread(target=_caller(service.stop), args=(signal.SIGTERM, None))
+    stop = Request("stop")
+    stop.begin(service.stop)
+    handler = threading.Thread(target=stop, args=(signal.SIGTERM, None))
     with service._wake._cond, service._stop._cond:
         handler.start()
         handler.join(5.0)
         assert not handler.is_alive()
     assert service._stop.wait(5.0)
+    stop.end()
 
 
 def read_in_played_time(config: RigConfig, bench: PlayedBench) -> tuple[Driver, list[SampleBlock]]:

@@ -58,10 +58,7 @@ def run(
             shutil.copytree(results / "kept", kept, dirs_exist_ok=True)
         status, output = results / "status", results / "output"
         if not status.exists():
-            return (
-                DIED,
-                f"the guest died:\n{printed}",
-            )
+            return DIED, f"the guest died:\n{printed}"
         return int(status.read_text()), output.read_text(errors="replace")
 
 

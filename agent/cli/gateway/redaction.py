@@ -15,8 +15,9 @@ from agent.config.reading.secrets import is_secret
 REMOVED: Final = "REMOVED"
 _SHORTEST: Final = 4  # what is shorter is found everywhere by chance
 _KEY: Final = re.compile(
-    r"""(?imx) ([\w.-]*(?:pass(?:word|wort|wd|phrase|code)?|pwd|secret|token|api_?key|private_?key)
-        ["']? \s* [=:] \s*)
+    r"""(?imx)
+        ([\w.-]*(?:pass(?:word|wort|wd|phrase|code)|\bpass|_pass|pwd|secret|token|api_?key|private_?key)["']?
+        \s* [=:] \s*)
         ( \"{3}.*?\"{3} | '{3}.*?'{3} | "(?:[^"\\\n]|\\.)*" | '[^'\n]*' | [^\s{,}\]]+ )""",
     re.DOTALL,
 )

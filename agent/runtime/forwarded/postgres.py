@@ -22,7 +22,8 @@ SCHEMES: Final = ("postgresql://", "postgres://")
 _PREFIX: Final = "deltak"
 _DAY_NS: Final = 86_400_000_000_000
 _AT_ONCE: Final = 20_000
-_PASSWORD = re.compile(r"(://[^/@:]*):[^@/]*@|(password=)[^&\s]*")
+_UNSEEN = re.compile(r"(?<=://).*@|\?.*", re.DOTALL)
+"""What messages do not show of an address: who signs in, and further settings."""
 _RIGS: Final = """WITH RECURSIVE r(rig) AS (SELECT min(rig) FROM {t}
  UNION ALL SELECT (SELECT min(rig) FROM {t} WHERE rig > r.rig) FROM r WHERE r.rig IS NOT NULL)
  SELECT rig FROM r WHERE rig IS NOT NULL ORDER BY rig"""
@@ -41,7 +42,7 @@ class PostgresHistories:
     def __init__(self, address: str) -> None:
         self._url, _, prefix = address.partition("#")
         self._prefix = prefix or _PREFIX
-        self._shown = _PASSWORD.sub(r"\1\2", self._url)
+        self._shown = _UNSEEN.sub("", self._url)
 
     @cached_property
     def rigs(self) -> list[str]:
@@ -61,13 +62,28 @@ class PostgresHistories:
         """Return the limits that level alarms of a rig were last raised at, by parameter."""
         return dict(self._asked(_LIMITS, "alarms", rig))
 
+    @cached_property
+    def _settings(self) -> dict[str, Any]:
+        """The address taken apart; of one that cannot be, libpq would quote a piece, the password perhaps."""
+        from psycopg import ProgrammingError
+        from psycopg.conninfo import conninfo_to_dict
+
+        try:
+            found = dict(conninfo_to_dict(self._url, connect_timeout=10, application_name="deltak"))
+        except ProgrammingError:
+            found = {"host": "@"}
+        if "@" in str(found.get("host")):
+            advice = "write postgresql://user@host/database, and odd characters of a password as %40 for @"
+            raise UsageError.at(self._shown, "is no address of a database", advice)
+        return found
+
     def _asked(self, query: str, topic: str, *values: str) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of a query on a topic's table, of which the server hands out some at once."""
         with self._failing():
             import psycopg
 
             with (
-                psycopg.connect(self._url, connect_timeout=10, application_name="deltak") as connection,
+                psycopg.connect(**self._settings) as connection,
                 connection.cursor("deltak_fleet") as cursor,
             ):
                 connection.read_only = True
@@ -93,6 +109,9 @@ class PostgresHistories:
         try:
             yield
         except (psycopg.Error, OSError) as error:
-            what = " ".join(_PASSWORD.sub(r"\1\2", str(error)).split())
+            said = str(error)
+            for secret in (self._settings.get(key) for key in ("password", "sslpassword")):
+                said = said.replace(secret, "***") if secret else said
+            what = " ".join(said.split())
             advice = "see the address, the role's rights, and the prefix behind #"
             raise UsageError.at(self._shown, f"cannot be read: {what}", advice) from None

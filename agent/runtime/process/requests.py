@@ -1,8 +1,10 @@
 """Signals as requests: done by a thread that is there already, once for all that came while it was busy."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from queue import SimpleQueue
+from signal import Signals, signal
 from threading import Thread
 from types import FrameType
 
@@ -13,17 +15,20 @@ class Request:
     """A signal's handler. It interrupts the thread that may hold the very lock that acting takes.
 
     What a handler may do at any moment is to put into a SimpleQueue; a thread made there would be refused
-    where the service's tasks are all used (TasksMax), and end the agent.
+    where all tasks of the service are used (TasksMax), and end the agent. What comes before `begin` waits.
 
     Args:
-        act: what is asked for; asked for while it is done, it is done once more, however often that was.
-        name: the thread's name.
+        name: the name of the thread that acts.
     """
 
-    def __init__(self, act: Callable[[], object], name: str) -> None:
-        self._act = act
+    def __init__(self, name: str) -> None:
+        self._act: Callable[[], object] = int
         self._came: SimpleQueue[bool] = SimpleQueue()
         self._thread = Thread(target=self._work, name=name, daemon=True)
+
+    def begin(self, act: Callable[[], object]) -> None:
+        """Do what is asked for from now on; asked for while it is done, it is done once more."""
+        self._act = act
         self._thread.start()
 
     def __call__(self, _number: int, _frame: FrameType | None) -> None:
@@ -47,3 +52,15 @@ class Request:
         while not self._came.empty():
             goes_on &= self._came.get()
         return goes_on
+
+
+@contextmanager
+def asked_by(number: Signals, name: str) -> Iterator[Request]:
+    """Have a signal be a request inside; nobody is ended by it."""
+    request = Request(name)
+    previous = signal(number, request)
+    try:
+        yield request
+    finally:
+        signal(number, previous)
+        request.end()

@@ -2,8 +2,8 @@
 
 import os
 import signal
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from agent.errors import ConfigError, Fault
 from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.process.databases import RunKind
 from agent.runtime.process.memory import keep_heap_small
-from agent.runtime.process.requests import Request
+from agent.runtime.process.requests import asked_by
 from agent.runtime.service import Reread, Service
 from agent.runtime.workers.spread import wanted_workers
 from drivers.port import DriverConfigError
@@ -34,14 +34,20 @@ def run(
         _need_sources(found)
         return found
 
-    rigs = reread()
-    started = monotonic_ns()
-    try:
-        service = _service(rigs, db, kind, reread)
-    except DriverConfigError as error:
-        raise source_error(rigs, error) from error
-    with service.lines.kept(), _handled(service):
-        service.run(duration_s)
+    with ExitStack() as signals:
+        # a closed terminal ends the agent, a SIGHUP while it starts does not
+        hangup = None if os.isatty(0) else signals.enter_context(asked_by(signal.SIGHUP, "reload"))
+        rigs = reread()
+        started = monotonic_ns()
+        try:
+            service = _service(rigs, db, kind, reread)
+        except DriverConfigError as error:
+            raise source_error(rigs, error) from error
+        signals.enter_context(asked_by(signal.SIGTERM, "stop")).begin(service.stop)
+        if hangup is not None:
+            hangup.begin(service.reload)
+        with service.lines.kept():
+            service.run(duration_s)
     seconds = (monotonic_ns() - started) / 1e9
     documents = service.documents(seconds)
     return documents[0] if len(documents) == 1 else {"runs": documents}
@@ -55,21 +61,6 @@ def _service(configs: Sequence[RigConfig], db: Path | None, kind: RunKind, rerea
     from agent.runtime.workers.service import SpreadService
 
     return SpreadService(configs, db, kind, most, reread)
-
-
-@contextmanager
-def _handled(service: Service) -> Iterator[None]:
-    """Have SIGTERM end a service and SIGHUP reload its configuration; a closed terminal still ends it."""
-    wanted = {signal.SIGTERM: Request(service.stop, "stop")}
-    if not os.isatty(0):
-        wanted[signal.SIGHUP] = Request(service.reload, "reload")
-    previous = {number: signal.signal(number, request) for number, request in wanted.items()}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-            wanted[number].end()
 
 
 def _need_sources(rigs: Sequence[RigConfig]) -> None:

@@ -52,7 +52,8 @@ def test_database_without_recordings_has_no_samples(tmp_path: Path) -> None:
     'password = "planted-1"', "password = 'planted-1'", 'x = { password = "planted-1", y = 2 }',
     '{"api_key": "planted-1"}', "mqtt_token: planted-1", "broker = mqtt://anna:planted-1@broker:1883",
     'secret = """\nplanted-1\n"""', "the broker refused planted-2", "env had planted-3",
-    "a wrong planted-4 in a log", "passwort = 'planted-1'", "pwd: planted-1", "at mqtt://planted-1@broker",
+    "a wrong planted-4 in a log", "passwort = 'planted-1'", "pwd: planted-1",
+    "pass = planted-1", "db_pass=planted-1", "at mqtt://planted-1@broker",
     "at redis://:planted-1@broker", "at mqtt://anna:a@planted-1@broker", "at mqtt://anna:a/planted-1@broker",
     "curl -H 'Authorization: Bearer planted-1'", "-----BEGIN EC PRIVATE KEY-----\nplanted-1\n",
     "at https://hooks.example.org/services/T0/planted-5",
@@ -81,6 +82,7 @@ def test_no_secret_is_left_however_it_is_written(
 def test_what_is_no_secret_stays_to_the_letter(tmp_path: Path) -> None:
     text = (
         '[mqtt]\npassword = { file = "key" }\n[rig]\nname = "press-7" # the tokens of hall 2\nk = [1.5e-3]\n'
+        "compass = 3 # see https://example.org/manual, ask anna@example.org, basic settings\n"
     )
     assert Redaction([]).cleaned(text.encode()).decode() == text
 

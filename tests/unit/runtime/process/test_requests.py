@@ -3,12 +3,15 @@
 import logging
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from agent.runtime.process.requests import Request
+from agent.runtime.process.requests import asked_by
+from agent.runtime.workers import running
 from tests.scenario.live import wait_until
 
 
@@ -28,19 +31,10 @@ class Act:
             raise PermissionError("planted")
 
 
-@contextmanager
-def handled(request: Request) -> Iterator[None]:
-    previous = signal.signal(signal.SIGHUP, request)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGHUP, previous)
-        request.end()
-
-
 def test_storm_of_signals_while_one_is_acted_upon_is_one_more_request_and_no_thread() -> None:
     act = Act()
-    with handled(Request(act, "reload")):
+    with asked_by(signal.SIGHUP, "reload") as request:
+        request.begin(act)
         signal.raise_signal(signal.SIGHUP)
         wait_until(lambda: act.begun == 1, "the first")
         threads = threading.active_count()
@@ -58,8 +52,28 @@ def test_failure_is_logged_and_the_next_signal_is_acted_upon(caplog: pytest.LogC
     act = Act()
     act.fails = True
     act.goes_on.set()
-    with handled(Request(act, "reload")), caplog.at_level(logging.ERROR):
+    with asked_by(signal.SIGHUP, "reload") as request, caplog.at_level(logging.ERROR):
+        request.begin(act)
         for count in (1, 2):
             signal.raise_signal(signal.SIGHUP)
             wait_until(lambda n=count: act.done == n, "the signal to be acted upon")
     assert "reload: PermissionError" in caplog.text
+
+
+def test_signal_that_comes_while_the_agent_starts_is_a_reload_once_it_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reloaded = threading.Event()
+
+    def made(*_: Any) -> Any:
+        signal.raise_signal(signal.SIGHUP)
+        return SimpleNamespace(
+            stop=None, reload=reloaded.set, lines=SimpleNamespace(kept=nullcontext), documents=lambda _: [{}],
+            run=lambda _: wait_until(reloaded.is_set, "the reload"),
+        )  # fmt: skip
+
+    monkeypatch.setattr(running, "_service", made)
+    monkeypatch.setattr("os.isatty", lambda _: False)
+    rig = Path(__file__).parents[4] / "deploy/examples/modbus.toml"
+    assert running.run(configs=[rig], db=tmp_path / "rig.db", duration_s=None) == {}
+    assert reloaded.is_set()

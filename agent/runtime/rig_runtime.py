@@ -289,9 +289,10 @@ class RigRuntime:
         if back and not self._lost.get(source, False):
             return  # its samples have told already
         self._episodes.reported(source, round(event.at_s * 1e9), away=lost)
-        log.warning("%s: %s", source, event.message)
+        rig = self.config.rig.name
+        log.warning("%s: %s", f"{rig}: {source}", event.message.removeprefix(f"{source}: "))
         cause = event.kind or event.cause
-        records: list[Record] = [HealthEvent(self.config.rig.name, source, t_ns, cause, event.message)]
+        records: list[Record] = [HealthEvent(rig, source, t_ns, cause, event.message)]
         if (lost or back) and lost != self._lost.get(source, False):
             self._lost[source] = lost
             records.append(self._source_alarm(source, event, t_ns, lost=lost))

@@ -60,7 +60,9 @@ def reported(path: Path | str) -> Iterator[None]:
         yield
     except (sqlite3.Error, OSError) as error:
         what = f"{cause_of(error)} ({error})"
-        raise StoreError.at(str(path), what, "look at its disk and its permissions") from error
+        is_held = "locked" in str(error)
+        advice = "end the other program that holds it" if is_held else "look at its disk and its permissions"
+        raise StoreError.at(str(path), what, advice) from error
 
 
 def check(path: Path | str) -> Report:

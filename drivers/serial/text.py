@@ -63,6 +63,8 @@ class TextDecoder(SerialDecoder):
         *lines, rest = (self._rest + data).split(b"\n")
         if len(rest) > LONGEST:
             self._counts.faults["stray bytes"] += len(rest)
+            begin = ascii(rest[:40].decode("latin-1"))
+            self._counts.first.setdefault("stray bytes", f"{begin}: no line feed within {LONGEST} characters")
             rest, self._begun = b"", False
         if lines and not self._begun:
             self._counts.faults["stray bytes"] += len(lines.pop(0))

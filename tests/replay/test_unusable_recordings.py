@@ -9,6 +9,7 @@ import pytest
 from agent.commissioning.check import check
 from agent.errors import RecordingError
 from agent.runtime.replay import replay
+from agent.runtime.usability import Evidence
 from drivers.port import FloatArray
 from tests.scenario.live import example
 from tests.unit.numerics.rigs import noisy
@@ -141,3 +142,10 @@ def test_can_log_without_a_frame_that_fits_is_warned_of_beside_one_that_fits(tmp
     assert [
         text for text in document["advice"] if text.startswith(f"{logs[0]}: none of its {ROWS} frames fits")
     ]
+
+
+def test_can_log_that_ends_in_damage_is_warned_of() -> None:
+    evidence = Evidence(1000.0)
+    evidence.notes = ["/a.asc: is damaged, its end is not read: ValueError('no')", "/a.asc: is short"]
+    words = "/a.asc: is damaged, its end is not read; what stands before that is used"
+    assert list(map(str, evidence.damaged())) == [words]

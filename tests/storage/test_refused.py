@@ -96,6 +96,7 @@ def nothing(_: Path) -> None:
 
 PLACES: dict[str, tuple[Place, str]] = {
     "directory": (directory, "is a directory"),
+    "pipe": (os.mkfifo, "is a pipe or a device"),
     "foreign": (foreign, "this file is not a deltak database"),
     "text": (text, "this file is not a deltak database"),
     "nothing": (nothing, "there is no such database"),

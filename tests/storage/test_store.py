@@ -372,6 +372,7 @@ REFUSED = {
     "rubbish": (lambda p: p.write_bytes(np.random.default_rng(1).bytes(5000)), "not a deltak"),
     "newer": (newer, "newer version"),
     "directory": (lambda p: p.mkdir(), "is a directory"),
+    "pipe": (os.mkfifo, "is a pipe or a device"),
 }
 
 
@@ -381,7 +382,7 @@ def test_open_of_what_is_not_ours_is_refused_and_changes_nothing(path: Path, wha
     make(path)
 
     def state() -> list[tuple[str, bytes]]:
-        return sorted((p.name, b"" if p.is_dir() else p.read_bytes()) for p in path.parent.iterdir())
+        return sorted((p.name, p.read_bytes() if p.is_file() else b"") for p in path.parent.iterdir())
 
     before = state()
     for act in (Store.open, queries.estimates):

@@ -65,7 +65,8 @@ def _print_alarm_table(rows: Sequence[Row]) -> None:
     if not rows:
         sys.stdout.write("no alarms\n")
         return
-    skip = 0 if len({place(row) for row in rows}) > 1 else 1
+    is_plain = {place(row) for row in rows} == {rows[0]["rig"]}
+    skip = 1 if is_plain else 0  # the name of the only rig, of which no site or label is known, says nothing
     columns = ("rig", "id", "kind", "priority", "state", "raised", "cleared", "what")
     print_table("", columns[skip:], (_alarm_cells(row)[skip:] for row in rows))
     for kind in dict.fromkeys(row["kind"] for row in rows):

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from agent.cli.terminal.signals import INTERRUPTED
 from agent.cli.terminal.output import print_table, show
+from agent.cli.terminal.signals import INTERRUPTED
 from agent.commissioning.setup.listen import Line
 from agent.text import number
 

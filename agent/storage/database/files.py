@@ -167,6 +167,8 @@ def check_place(path: Path) -> None:
     """Raise StoreError when no database can lie at a path."""
     if path.is_dir():
         raise StoreError.at(str(path), "is a directory", "give the path of a file")
+    if path.exists() and not path.is_file():  # opening a pipe may wait for ever
+        raise StoreError.at(str(path), "is a pipe or a device", "give the path of a file")
     if not path.parent.is_dir():
         raise StoreError.at(str(path), f'there is no folder "{path.parent}"', "make it first")
 

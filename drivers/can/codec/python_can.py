@@ -5,6 +5,8 @@ Its listeners for asyncio, of which we use none, take that and TLS: 2 MB of an a
 
 import importlib
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from types import ModuleType
 from typing import Any
 
@@ -42,3 +44,19 @@ def import_measurements() -> None:
     if not known and reader.asammdf is None:
         # the classes that python-can hands out find it in the same module
         importlib.reload(reader)
+    if MEASUREMENTS in sys.modules:
+        measurement = importlib.import_module("asammdf.blocks.mdf_v4").MDF4
+        measurement.__del__ = _forgiving(measurement.close)
+
+
+def _forgiving(close: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a destructor for files that could not be read too: what was not set up by then is not torn down.
+
+    asammdf's own raises AttributeError there, which Python shows as a traceback.
+    """
+
+    def finish(measurement: Any) -> None:
+        with suppress(AttributeError):
+            close(measurement)
+
+    return finish

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 
 from agent.config.load import TABLES
 from agent.config.reading.messages import faults_of
+from drivers.can.bus.bus import BusKeys
 from drivers.modbus.settings import ModbusSettings
 from drivers.serial_port import SerialKeys
 from tests.unit.config.config_texts import MINIMAL, MOTOR, PRESS, changed, faults, with_fake_driver
@@ -371,6 +372,14 @@ def test_faults_of_keys_of_a_serial_line_are_said_in_words(keys: dict[str, objec
         SerialKeys.model_validate({"port": "/dev/ttyS0", **keys})
     (fault,) = faults_of(caught.value, "", keys)
     assert str(fault).startswith(expected)
+
+
+def test_interface_that_is_no_name_is_said_with_an_example() -> None:
+    keys = {"interface": "CAN 0", "channel": "can0"}
+    with pytest.raises(ValidationError) as caught:
+        BusKeys.model_validate(keys)
+    (fault,) = faults_of(caught.value, "", keys)
+    assert str(fault) == 'interface: must be the name of an interface, such as "socketcan"'
 
 
 def test_fault_of_one_key_of_a_modbus_source_is_one_sentence() -> None:

@@ -195,3 +195,10 @@ def test_nmea_with_its_dollar_in_columns_or_pattern_is_refused_in_words(
 def test_nmea_pattern_that_begins_with_the_address_is_taken() -> None:
     keys = {"port": "x", "format": "text", "checksum": "nmea", "pattern": r"IIXDR,(?P<a>[^,]*)"}
     assert SerialSettings.model_validate(keys).pattern
+
+
+def test_line_without_end_is_shown_as_it_begins() -> None:
+    text, counts = decoder("nmea")
+    text.feed(b"1,2,\x1b3,\xff" * 300)
+    assert counts.first["stray bytes"].startswith("'1,2,\\x1b3,\\xff1,2,")
+    assert counts.first["stray bytes"].endswith("': no line feed within 1024 characters")

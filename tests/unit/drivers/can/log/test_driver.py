@@ -1,3 +1,4 @@
+import gc
 import importlib.util
 import re
 from pathlib import Path
@@ -187,6 +188,21 @@ def test_log_cut_within_a_line_is_read_up_to_there_and_says_so(
     assert log.counts.faults == {"log": 1}
     (note,) = log.take_notes()
     assert note.startswith(f"{path}: is damaged, its end is not read: ")
+
+
+def test_measurement_cut_within_its_header_is_refused_without_a_traceback(
+    tmp_path: Path, dbc: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("asammdf")
+    whole = tmp_path / "whole.mf4"
+    with can.Logger(whole) as writer:
+        writer.on_message_received(can.Message(timestamp=1.0, arbitration_id=9, data=bytes(8)))
+    cut = tmp_path / "cut.mf4"
+    cut.write_bytes(whole.read_bytes()[:1000])
+    with pytest.raises(DriverConfigError, match=r"cut.mf4: cannot be read as a CAN log"):
+        driver(cut, dbc).open()
+    gc.collect()
+    assert capfd.readouterr().err == ""
 
 
 def test_log_cut_within_the_bytes_of_a_frame_makes_no_reading_of_what_is_left(

@@ -134,7 +134,7 @@ def _pooled(courses: FloatArray, laws: FloatArray) -> FloatArray:
 def _log_spread(draws: FloatArray) -> float:
     """Return ln(P90 / P10) of sorted draws (n,), inf where either is no number to divide by."""
     p10, p90 = (float(draws[int(q * len(draws))]) for q in (0.1, 0.9))
-    return float(np.log(p90 / p10)) if 0.0 < p10 and np.isfinite(p90) else float(np.inf)
+    return float(np.log(p90 / p10)) if p10 > 0.0 and np.isfinite(p90) else float(np.inf)
 
 
 def _steady(history: History) -> bool:

@@ -125,9 +125,7 @@ def _simulated(paths: _Paths, steps: int, rng: np.random.Generator) -> FloatArra
     return reached
 
 
-def _onward(
-    paths: _Paths, begin: float, end: float, rng: np.random.Generator
-) -> tuple[_Paths, FloatArray]:
+def _onward(paths: _Paths, begin: float, end: float, rng: np.random.Generator) -> tuple[_Paths, FloatArray]:
     """Return paths at the end of a step, and at which share of it each arrived, inf where it did not."""
     dt = end - begin
     n = len(paths.gap)

@@ -20,7 +20,7 @@ POINTS = 32
 """Points of a trace that are evenly spread in time, and as many in level."""
 SHORT = 0.05
 """Share of the way by which a trace may end before a limit and still say when it would have reached it."""
-SPREAD = 0.2
+SPREAD = 0.3
 """Spread between machines of a kind before any is seen, in natural logarithms of a time."""
 PERSISTS = 0.5
 """How much of a pace persists before any machine is seen, and how sure that is."""

@@ -272,3 +272,21 @@ def test_lives_of_like_machines_end_where_their_level_passes_the_limit(
     assert np.mean([t[np.flatnonzero(value <= 80.0)[0]] for value in rows]) < 104.0
     life, *_ = learn_from(histories, 80.0).of["life"]
     assert np.exp(life) == pytest.approx(110.0, rel=0.02)
+
+
+def test_late_in_life_a_machines_own_rows_count_beside_like_machines(rng: np.random.Generator) -> None:
+    """Noisy falls that level off: when others passed a limit says less than the machine's own law."""
+    ratios = []
+    for _ in range(5):
+        learnt = learn_from([levelling_off(rng, 1.05) for _ in range(3)], 80.0)
+        own = levelling_off(rng, 0.93)
+        ratios.append(width(forecast(own, 80.0, like=learnt)) / width(forecast(own, 80.0)))
+    assert np.mean(ratios) < 1.0
+
+
+def levelling_off(rng: np.random.Generator, share: float) -> History:
+    """Rows up to a share of the time in which a level reaches 80."""
+    constant = 100.0 * float(np.exp(0.25 * rng.standard_normal()))
+    t = np.arange(0.0, share * constant * np.log(3.0))
+    value = 100.0 - 30.0 * (1.0 - np.exp(-t / constant)) + 0.4 * rng.standard_normal(len(t))
+    return History(t, value, np.full(len(t), 0.4))

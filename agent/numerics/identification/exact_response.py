@@ -27,7 +27,7 @@ FIRST_STEPS, FINALISTS = 5, 2
 """Steps after which the starts are compared, and how many of them go on."""
 MOST_ROUNDS, RESTS_SHARE, HOPELESS = 20, 1e-2, 1e6
 NEIGHBOURS = 15
-NEARLY = 3.0
+NEARLY = 2.0
 """Logarithm of the errors' power by which another minimum may leave more: masses a few percent off leave as
 much of the right one."""
 STRETCH, VAGUE = 0.7, 3.0

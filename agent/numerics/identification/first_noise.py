@@ -1,8 +1,8 @@
-"""The noise of a rig before its windows are joined: looked for in a short window, settled in whole ones.
+"""The noise of a rig before its windows are joined: looked for in a short window, settled in a whole one.
 
 Of the first window all sources of noise are sought on all of their grids, from three joint fits. That grows
-with its samples and says little more of a source in 10,000 than in 2,000: where windows are long, the first
-look is at the beginning of one. Whole windows then go on from there, each within reach of what is known.
+with its samples and says little more of a source in 10,000 than in 1,000: where windows are long, the first
+look is at the beginning of one. A whole window then goes on from there, within reach of what is known.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,8 +17,8 @@ from agent.types import FloatArray
 
 TAUGHT = 3
 """Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
-BRIEF, BRIEF_SHARE = 2048, 0.2
-"""Samples at least, and share of a window (two periods of the slowest mode), of the first look."""
+BRIEF, BRIEF_SHARE = 512, 0.1
+"""Samples at least, and share of a window (a period of the slowest mode), of the first look."""
 SOUGHT = 3
 """Windows behind a noise whose sources are not sought on all of their grids any more."""
 Progress = Callable[[str], None]
@@ -36,7 +36,7 @@ def first_noise(
         short = Learner(learner.rig, length, learner.p, np.exp(learner.log_floor))
         _, seen = short.learn(_beginning(chosen[0], length), short.prior(sigma, spread), believe=True)
         known = _lengthened(seen, known)
-        chosen = chosen[1:] or chosen
+        chosen = chosen[len(chosen) // 2 :][:1] if seen.noise.is_started else chosen
     for number, window in enumerate(chosen):
         progress(f"learning the noise: window {number + 1} of {len(chosen)}")
         _, known = learner.learn(window, known, believe=True)

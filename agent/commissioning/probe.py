@@ -75,7 +75,7 @@ def _turn(gathering: Gathering, connections: Sequence[Connection], received: set
     arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
     for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
         for use in connection.uses:
-            gathering.hear(arrival.block, use.covariates)
+            gathering.take_covariates(arrival.block, use.covariates)
             if use.columns:
                 received.add(use.source)
                 gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)

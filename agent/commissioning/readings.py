@@ -67,7 +67,7 @@ class Gathering:
         config: the rig's configuration.
         sources: names of the sources that deliver, with their channel -> field maps.
         keep: whether samples are kept for `recorded`; without them listening may last for days.
-        covariates: those that are listened to, whose readings `hear` takes.
+        covariates: those that are listened to, whose readings `take_covariates` takes.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Gathering:
         if block.wall_offset_ns is not None:
             self._received(self.acquisition.sources[source], block.arrival_ns)
 
-    def hear(self, block: SampleBlock, places: Mapping[str, int]) -> None:
+    def take_covariates(self, block: SampleBlock, places: Mapping[str, int]) -> None:
         """Take the readings of covariates, which stand in these columns of a block."""
         for name, values in readings(block, places).items():
             self._beside[name].append(np.asarray(values, dtype=float))

@@ -21,7 +21,7 @@ EVIDENCE = 6.9
 """Log likelihood beyond which one of two solutions is evident: 1000 : 1."""
 APART_SD = 3.0
 """Standard deviations beyond which two values of a parameter are two."""
-DIFFERENT = 0.1
+APART_SHARE = 0.1
 """Share of a motion by which two solutions differ where a sensor tells them apart."""
 
 
@@ -54,12 +54,13 @@ def _place(config: RigConfig, record: Recorded, window: int, said: Pooled, there
         for place, model in further_outputs(rig_model(config))
     }
     best = max(apart, key=lambda place: apart[place], default="")
-    return best if apart.get(best, 0.0) > DIFFERENT else ""
+    return best if apart.get(best, 0.0) > APART_SHARE else ""
 
 
 def _moved(config: RigConfig, model: Model, u: FloatArray, solutions: Sequence[FloatArray]) -> FloatArray:
     """Return the model's last output (s, W) in solutions (q,) under inputs u (W, m), from rest."""
-    period_s, hold = 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold)
+    period_s = 1.0 / config.rig.sample_rate_hz
+    hold = straight(config.estimator.hold)
     moved = []
     for theta in solutions:
         discrete = discretise(model.continuous(theta), period_s, hold)

@@ -21,9 +21,10 @@ def listen(config: RigConfig, progress: Progress, listen_s: float = LISTEN_S) ->
     Raises UsageError without sources, ConfigError, BusError with every source that cannot be opened.
     """
     require_sources(config)
-    gathering = Gathering(config, {source.name: source.map for source in config.source})
+    maps = {source.name: source.map for source in config.source}
+    gathering = Gathering(config, maps, covariates=config.covariate)
     wake = threading.Event()
-    connections = [one for one in connect([config], wake) if any(use.columns for use in one.uses)]
+    connections = connect([config], wake)
     try:
         for connection in connections:
             connection.start()
@@ -70,18 +71,21 @@ def _turn(gathering: Gathering, connections: Sequence[Connection], received: set
     """Hand on what has arrived, in order; note which sources were heard, raise for those that cannot be."""
     taken = [(connection, *connection.take()) for connection in connections]
     for connection in connections:
-        gathering.counts |= {use.source: connection.counts for use in connection.uses}
+        gathering.counts |= {use.source: connection.counts for use in connection.uses if use.columns}
     arrived = [(arrival, connection) for connection, arrivals, _ in taken for arrival in arrivals]
     for arrival, connection in sorted(arrived, key=lambda pair: pair[0].block.arrival_ns):
         for use in connection.uses:
-            received.add(use.source)
-            gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)
+            gathering.take_covariates(arrival.block, use.covariates)
+            if use.columns:
+                received.add(use.source)
+                gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)
     lost = [
         Fault(use.source, event.message, OPEN_ADVICE)
         for connection, _, events in taken
         for event in events
         for use in connection.uses
-        if event.cause == "lost" and use.source not in received
+        # a covariate that cannot be read is shown as such, and spoils no channel
+        if event.cause == "lost" and use.columns and use.source not in received
     ]
     if lost:
         raise BusError(lost)

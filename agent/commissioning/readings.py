@@ -1,7 +1,7 @@
 """Readings gathered for commissioning, from a recording or the sources, and what each channel shows."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import comb
 from typing import Any
@@ -10,9 +10,11 @@ import numpy as np
 
 from agent.blocks.acquisition.interface import SourceState
 from agent.blocks.acquisition.source_clocks import SourceClocks
+from agent.blocks.covariates.readings import readings
 from agent.blocks.friction import dry_friction
 from agent.commissioning.limits import AHEAD, CALM, LEAST_ROWS, MOST_ROWS, ORDER, REACH
 from agent.config import RigConfig
+from agent.config.covariates.tables import Covariate
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, simulate
 from agent.runtime.assembly.acquisition_plan import Maps, channels_of, make_acquisition
@@ -65,9 +67,12 @@ class Gathering:
         config: the rig's configuration.
         sources: names of the sources that deliver, with their channel -> field maps.
         keep: whether samples are kept for `recorded`; without them listening may last for days.
+        covariates: those that are listened to, whose readings `take_covariates` takes.
     """
 
-    def __init__(self, config: RigConfig, sources: Maps, *, keep: bool = True) -> None:
+    def __init__(
+        self, config: RigConfig, sources: Maps, *, keep: bool = True, covariates: Sequence[Covariate] = ()
+    ) -> None:
         self._config, self._maps, self._keep = config, sources, keep
         self.acquisition = make_acquisition(
             config, sources, np.zeros(len(config.outputs)), keep_incomplete=False
@@ -77,6 +82,8 @@ class Gathering:
         self._aligned: list[Aligned] = []
         self._missing: Counter[str] = Counter()
         self._span_ns: dict[str, tuple[int, int, int]] = {}
+        self._listened = covariates
+        self._beside: dict[str, list[FloatArray]] = {one.name: [] for one in covariates}
 
     def take(self, source: str, block: SampleBlock, modulus: int | None) -> None:
         """Take a block as it was read."""
@@ -88,6 +95,11 @@ class Gathering:
         self._aligned += aligned if self._keep else []
         if block.wall_offset_ns is not None:
             self._received(self.acquisition.sources[source], block.arrival_ns)
+
+    def take_covariates(self, block: SampleBlock, places: Mapping[str, int]) -> None:
+        """Take the readings of covariates, which stand in these columns of a block."""
+        for name, values in readings(block, places).items():
+            self._beside[name].append(np.asarray(values, dtype=float))
 
     def _received(self, state: SourceState, arrival_ns: int) -> None:
         self._clocks.observe(state, arrival_ns)
@@ -173,8 +185,24 @@ class Gathering:
         return {
             "span_s": span, "received": sum(s["received"] for s in sources), "used": len(index),
             "gaps": sum(s["gaps"] for s in sources), "missing": sum(s["missing"] for s in sources),
-            "rejected": dict(rejected), "channels": shown, "sources": sources, "suspicions": [],
+            "rejected": dict(rejected), "channels": [*shown, *self._covariates()], "sources": sources,
+            "suspicions": [],
         }  # fmt: skip
+
+    def _covariates(self) -> Iterator[dict[str, Any]]:
+        """Yield what covariates read, in their own units; None where nothing came."""
+        owner = {name: source.name for source in self._config.covariate_source for name in source.covariates}
+        owner |= {name: source.name for source in self._config.source for name in source.covariates}
+        for one in self._listened:
+            raw = np.concatenate([np.zeros(0), *self._beside[one.name]])
+            values = raw[np.isfinite(raw)] * one.scale + one.offset
+            figures = (values.min(), values.max(), np.sqrt(np.mean(values**2))) if len(values) else ()
+            seen = dict(zip(("min", "max", "rms"), map(float, figures), strict=False))
+            yield {
+                "name": one.name, "unit": one.unit, "source": owner.get(one.name), "rate_hz": None,
+                "min": seen.get("min"), "max": seen.get("max"), "rms": seen.get("rms"), "noise_sd": None,
+                "gaps": 0, "missing": len(raw) - len(values), "drift_ppm": None, "drift_sd_ppm": None,
+            }  # fmt: skip
 
 
 def _paired(pieces: Sequence[Aligned]) -> list[Aligned]:

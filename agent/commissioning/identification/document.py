@@ -41,8 +41,8 @@ def _row(found: Found, i: int) -> dict[str, Any]:
 
 def _other(found: Found, i: int) -> float | None:
     """Return the parameter's value in another solution that explains as much; None where there is none."""
-    rival = found.rival
-    return float(rival.theta[i]) if rival is not None and rival.differs[i] else None
+    rival = found.rival_in(i)
+    return None if rival is None else float(rival.theta[i])
 
 
 def _changes(rig: RigConfig, rows: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -68,8 +68,8 @@ def _pulled(found: Found) -> str:
 
 def why_unknown(found: Found, i: int) -> str | None:
     """Return why a parameter is not known, and what would show it; None where it is."""
-    if found.rival is not None and found.rival.differs[i]:
-        return _either(found, found.rival, i)
+    if rival := found.rival_in(i):
+        return _either(found, rival, i)
     parameter, said = found.rig.parameters[i], found.pooled
     vague = (said.sd > VAGUE * np.abs(said.theta)) | _lines(found)
     if parameter.kind in ("bias", "gain") or not vague[i]:

@@ -38,3 +38,7 @@ class Found:
     helpful: Mapping[int, str] = field(default_factory=dict)
     """Displacements that would show parameters that are not known, by the parameters' numbers."""
     rival: Rival | None = None
+
+    def rival_in(self, i: int) -> Rival | None:
+        """Return the other solution that differs in a parameter, by its number; None without one."""
+        return self.rival if self.rival is not None and self.rival.differs[i] else None

@@ -17,11 +17,11 @@ from agent.numerics.model.statespace import Model, discretise, simulate
 from agent.runtime.assembly.model_check import further_outputs
 from agent.types import FloatArray
 
-EVIDENT = 6.9
+EVIDENCE = 6.9
 """Log likelihood beyond which one of two solutions is evident: 1000 : 1."""
 APART_SD = 3.0
 """Standard deviations beyond which two values of a parameter are two."""
-TOLD = 0.1
+APART_SHARE = 0.1
 """Share of a motion by which two solutions differ where a sensor tells them apart."""
 
 
@@ -40,7 +40,7 @@ def rival_of(
         except np.linalg.LinAlgError:
             continue  # a start that leads nowhere is no solution
         differs = np.abs(there.theta - said.theta) > APART_SD * np.hypot(there.sd, said.sd)
-        if there.converged and differs.any() and evidence > -EVIDENT:
+        if there.converged and differs.any() and evidence > -EVIDENCE:
             return Rival(there.theta, there.sd, differs, _place(config, records[0], window, said, there))
     return None
 
@@ -54,12 +54,13 @@ def _place(config: RigConfig, record: Recorded, window: int, said: Pooled, there
         for place, model in further_outputs(rig_model(config))
     }
     best = max(apart, key=lambda place: apart[place], default="")
-    return best if apart.get(best, 0.0) > TOLD else ""
+    return best if apart.get(best, 0.0) > APART_SHARE else ""
 
 
 def _moved(config: RigConfig, model: Model, u: FloatArray, solutions: Sequence[FloatArray]) -> FloatArray:
     """Return the model's last output (s, W) in solutions (q,) under inputs u (W, m), from rest."""
-    period_s, hold = 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold)
+    period_s = 1.0 / config.rig.sample_rate_hz
+    hold = straight(config.estimator.hold)
     moved = []
     for theta in solutions:
         discrete = discretise(model.continuous(theta), period_s, hold)

@@ -13,7 +13,7 @@ from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.errors import ModelError, RecordingError
-from agent.numerics.identification.exact_response import other_minima, refined
+from agent.numerics.identification.exact_response import others_near, refined
 from agent.numerics.identification.response import fitted, measured
 from agent.numerics.identification.start import hidden, rests, start, still
 from agent.numerics.model.holds import straight
@@ -72,7 +72,7 @@ def _from_response(
     )
     # damping is seen less well and tells no two apart
     telling = np.array([config.parameters[name].kind != "damper" for name in model.parameters], dtype=bool)
-    return [minimum.theta for minimum in (minima[0], *other_minima(minima, telling))]
+    return [minimum.theta for minimum in (minima[0], *others_near(minima, telling))]
 
 
 def _require_motion(

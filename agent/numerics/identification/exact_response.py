@@ -27,7 +27,7 @@ FIRST_STEPS, FINALISTS = 5, 2
 """Steps after which the starts are compared, and how many of them go on."""
 MOST_ROUNDS, RESTS_SHARE, HOPELESS = 20, 1e-2, 1e6
 NEIGHBOURS = 15
-NEARLY = 3.0
+NEAR = 2.0
 """Logarithm of the errors' power by which another minimum may leave more: masses a few percent off leave as
 much of the right one."""
 STRETCH, VAGUE = 0.7, 3.0
@@ -79,13 +79,13 @@ def refined(
     return [Minimum(cost / count, np.exp(phi)) for cost, phi in sorted(ways, key=lambda way: way[0])]
 
 
-def other_minima(minima: Sequence[Minimum], telling: BoolArray) -> list[Minimum]:
+def others_near(minima: Sequence[Minimum], telling: BoolArray) -> list[Minimum]:
     """Return minima that are not the first: apart in what is telling (q,), and leaving nearly as little."""
     first = minima[0]
     return [
         found
         for found in minima[1:]
-        if found.cost < first.cost + NEARLY
+        if found.cost < first.cost + NEAR
         and np.abs(np.log(found.theta / first.theta))[telling].max(initial=0.0) > ALIKE
     ]
 

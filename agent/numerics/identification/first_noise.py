@@ -1,8 +1,9 @@
-"""The noise of a rig before its windows are joined: looked for in a short window, settled in whole ones.
+"""The noise of a rig before its windows are joined: looked for in a short window, settled in a whole one.
 
 Of the first window all sources of noise are sought on all of their grids, from three joint fits. That grows
-with its samples and says little more of a source in 10,000 than in 2,000: where windows are long, the first
-look is at the beginning of one. Whole windows then go on from there, each within reach of what is known.
+with its samples and says little more of a source in 10,000 than in 1,000: where windows are long, the first
+look is at the part of one that moves most. A whole window then goes on from there, within reach of what is
+known of sources; of parameters and constants a part says too little, and they begin at nominal again.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,9 +18,11 @@ from agent.types import FloatArray
 
 TAUGHT = 3
 """Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
-BRIEF, BRIEF_SHARE = 2048, 0.2
-"""Samples at least, and share of a window (two periods of the slowest mode), of the first look."""
-SOUGHT = 3
+BRIEF, BRIEF_SHARE = 512, 0.1
+"""Samples at least, and share of a window (a period of the slowest mode), of the first look."""
+FROM = 2
+"""Windows from which that is done: one alone may rest in most of its parts, and is learnt from as a whole."""
+SEARCHED = 3
 """Windows behind a noise whose sources are not sought on all of their grids any more."""
 Progress = Callable[[str], None]
 
@@ -31,12 +34,12 @@ def first_noise(
     chosen = _spread_out(windows)
     known = learner.prior(sigma, spread)
     length = max(BRIEF, int(BRIEF_SHARE * learner.window))
-    if length < learner.window:
-        progress("looking for noise at the beginning")
+    if length < learner.window and len(windows) >= FROM:
+        progress("looking for noise where it moves most")
         short = Learner(learner.rig, length, learner.p, np.exp(learner.log_floor))
-        _, seen = short.learn(_beginning(chosen[0], length), short.prior(sigma, spread), believe=True)
+        _, seen = short.learn(_liveliest(chosen, length), short.prior(sigma, spread), believe=True)
         known = _lengthened(seen, known)
-        chosen = chosen[1:] or chosen
+        chosen = chosen[len(chosen) // 2 :][:1] if seen.noise.is_started else chosen
     for number, window in enumerate(chosen):
         progress(f"learning the noise: window {number + 1} of {len(chosen)}")
         _, known = learner.learn(window, known, believe=True)
@@ -48,14 +51,20 @@ def _spread_out(windows: Sequence[Window]) -> list[Window]:
     return [windows[i] for i in chosen.tolist()]
 
 
-def _beginning(window: Window, length: int) -> Window:
-    """Return the first samples of a window without lost readings."""
-    return replace(window, y=window.y[:length], u=window.u[:length], slope=window.slope[:length])
+def _liveliest(windows: Sequence[Window], length: int) -> Window:
+    """Return the part of windows without lost readings, of so many samples, whose outputs move most."""
+    size = np.maximum(np.max([window.y.var(axis=0) for window in windows], axis=0), 1e-300)
+    parts = [
+        replace(window, y=window.y[here], u=window.u[here], slope=window.slope[here])
+        for window in windows
+        for here in (slice(a, a + length) for a in range(0, window.length - length + 1, length))
+    ]
+    return max(parts, key=lambda part: float(np.sum(part.y.var(axis=0) / size)))
 
 
 def _lengthened(seen: Knowledge, prior: Knowledge) -> Knowledge:
     """Return what a short window taught for windows of the prior's length, whose bins have levels anew."""
     if not seen.noise.is_started:
         return prior
-    noise = replace(seen.noise, power=prior.noise.power, dof=prior.noise.dof, windows=SOUGHT)
-    return replace(seen, noise=noise, kept=0, kept_for=None)
+    noise = replace(seen.noise, power=prior.noise.power, dof=prior.noise.dof, windows=SEARCHED)
+    return replace(prior, noise=noise)

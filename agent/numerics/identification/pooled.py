@@ -150,10 +150,10 @@ def _log_likelihood(learner: Learner, windows: Sequence[Window], known: Knowledg
     total = -0.5 * float(np.sum((known.eta / sheet) ** 2))
     for window in windows:
         at = learner.at_point(window, known)
-        R, b = at.ridge.R.copy(), np.zeros_like(at.ridge.b)
+        R = at.ridge.R.copy()
         for held in (at.regression.layout.psi, at.regression.layout.xi):
             R[held, held] = HELD * np.eye(held.stop - held.start)
-        fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, Ridge(R, b))
+        fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, Ridge(R, np.zeros_like(R[0])))
         total += fit.restricted_log_likelihood()
     return total
 

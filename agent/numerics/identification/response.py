@@ -28,6 +28,8 @@ MOST_BINS = 300
 ROUGH, CERTAIN = 0.1, 0.5
 """Relative errors of a response: what short stretches smear at least, and beyond which a bin says nothing."""
 GUESSES, ROUNDS_OF_A_GUESS, SEED = 32, 30, 17
+FIRST_ROUNDS, FOLLOWED = 10, 12
+"""Rounds after which guesses are compared, and how many go on: what is far behind by then stays so."""
 DAMPED, VAGUE = 0.05, 3.0
 """Damping ratio of a guess, and the sd of logarithms about them: what no bin shows stays among these."""
 MOST_MINIMA, ALIKE = 6, 0.2
@@ -147,7 +149,10 @@ def fitted(model: MassSpringDamper, seen: Responses) -> list[FloatArray]:
     seen, middle = _connected(graph, seen, phi), phi.mean(axis=0)
     cost, J, r = _errors(graph, seen, phi, middle)
     damping = np.full(len(phi), 1e-2)
-    for _ in range(ROUNDS_OF_A_GUESS):
+    for turn in range(ROUNDS_OF_A_GUESS):
+        if turn == FIRST_ROUNDS:
+            best = np.argsort(cost)[:FOLLOWED]
+            phi, cost, J, r, damping = phi[best], cost[best], J[best], r[best], damping[best]
         A, g = np.einsum("sqn,skn->sqk", J, J), np.einsum("sqn,sn->sq", J, r)
         diagonal = np.einsum("sqq->sq", A)
         A = A + (damping[:, None] * diagonal + 1e-9 * diagonal.max(axis=1, keepdims=True))[

@@ -543,6 +543,27 @@ class ForecastRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class TrendRecord:
+    """How a parameter moves, as the agent saw it.
+
+    Attributes:
+        t_ns: of the newest row that it rests on.
+        value, sd: the parameter then, on its line, in its unit; the newest row where there is no line.
+        slope_per_day, slope_sd: of the line through the whole span; None where there are too few rows.
+        trend: whether it changes by more than rows without any change would.
+    """
+
+    rig: str
+    parameter: str
+    t_ns: int
+    value: float
+    sd: float
+    slope_per_day: float | None
+    slope_sd: float | None
+    trend: bool
+
+
+@dataclass(frozen=True, slots=True)
 class ForecastScore:
     """What became of a stored forecast.
 
@@ -566,5 +587,5 @@ class ForecastScore:
 
 Record = (
     EstimateBatch | AlarmTransition | Health | HealthEvent | EventRecord | LearntRecord | Verdict
-    | ClockRecord | ForecastRecord | ForecastScore | CovariateMean | ConditionsRecord
+    | ClockRecord | ForecastRecord | ForecastScore | TrendRecord | CovariateMean | ConditionsRecord
 )  # fmt: skip

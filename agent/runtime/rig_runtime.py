@@ -229,9 +229,9 @@ class RigRuntime:
             self._foresee(self.forecasts)
 
     def _foresee(self, forecasts: ForecastThread) -> None:
-        """Ask for the forecasts that are due, and publish those that were made."""
+        """Ask for the trends and forecasts that are due, and publish those that were made."""
         if self._due.due(monotonic_ns()):
-            for parameter in dict.fromkeys(alarm.parameter for alarm in self.config.alarm):
+            for parameter in self.config.parameters:
                 forecasts.ask(self.config.rig.name, parameter, DUE)
         for made in forecasts.take(self.config.rig.name):
             self._emit([*made.records, *self.pipeline.foreseen(made.outlooks)])

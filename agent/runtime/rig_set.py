@@ -97,7 +97,7 @@ class RigSet:
         self.event_writers |= parts.event_writers
         for name, config in parts.configs.items():
             self.rigs[name].summary.db = str(path_of(config, self.db))
-            if config.alarm and self.kind == "live":
+            if self.kind == "live":
                 self.forecasts.admit(name, Forecaster(config, path_of(config, self.db)))
                 self.rigs[name].forecasts = self.forecasts
 

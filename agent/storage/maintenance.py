@@ -223,7 +223,7 @@ def backup(path: Path | str, target: Path | str) -> int:
 
 _EXPORTED = (
     "estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records", "verdicts",
-    "baselines", "forecast", "covariates",
+    "baselines", "forecast", "trend", "covariates",
 )  # fmt: skip
 
 

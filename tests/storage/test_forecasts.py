@@ -12,7 +12,7 @@ from agent.storage import maintenance
 from agent.storage.read import queries
 from agent.storage.write.log_bounds import purge_logs
 from agent.storage.write.store import Store
-from agent.types import ForecastRecord, ForecastScore
+from agent.types import ForecastRecord, ForecastScore, TrendRecord
 from tests.storage.rows import START, batch, run_info, select
 
 EARLIER = sorted((Path(__file__).parent / "fixtures").glob("version-*.db.gz"))
@@ -32,6 +32,14 @@ def forecast(t_ns: int = START, **changes: Any) -> ForecastRecord:
         "cause": "due",
     }  # fmt: skip
     return ForecastRecord(**(fields | changes))
+
+
+def trend(t_ns: int = START, **changes: Any) -> TrendRecord:
+    fields: dict[str, Any] = {
+        "rig": "press-7", "parameter": "k1", "t_ns": t_ns, "value": 24.0, "sd": 0.1, "slope_per_day": -0.02,
+        "slope_sd": 0.003, "trend": True,
+    }  # fmt: skip
+    return TrendRecord(**(fields | changes))
 
 
 def score(number: int = 1, **changes: Any) -> ForecastScore:
@@ -63,6 +71,17 @@ def test_forecast_is_shown_with_its_times_family_and_code_version(path: Path) ->
     }  # fmt: skip
     assert {name: row[name] for name in promised} == promised
     assert json.loads(row["draws"]) == [259_200.0, 432_000.0, 691_200.0]
+
+
+def test_trend_is_shown_with_its_time_and_slope(path: Path) -> None:
+    write(path, batch(5), trend(), trend(START + DAY, slope_per_day=None, slope_sd=None, trend=False))
+    columns = "rig, parameter, t_ns, time, value, sd, slope_per_day, slope_sd, trend"
+    assert select(path, f"SELECT {columns} FROM v_trend ORDER BY id") == [
+        ("press-7", "k1", START, "2026-01-01T00:00:00.000000000Z", 24.0, 0.1, -0.02, 0.003, 1),
+        ("press-7", "k1", START + DAY, "2026-01-02T00:00:00.000000000Z", 24.0, 0.1, None, None, 0),
+    ]
+    names, rows = maintenance.export(path, "trend")
+    assert [dict(zip(names, row, strict=True))["trend"] for row in rows] == [1, 0]
 
 
 def test_forecast_that_can_say_nothing_has_nulls(path: Path) -> None:

@@ -66,7 +66,7 @@ def test_tables_are_strict_and_have_a_growing_seq(path: Path) -> None:
     tables = select(
         path, "SELECT name, sql FROM sqlite_master WHERE type = 'table' AND name NOT LIKE '%sqlite%'"
     )
-    assert len(tables) == 30
+    assert len(tables) == 31
     for name, sql in tables:
         assert sql.endswith("STRICT"), name
         assert "seq INTEGER PRIMARY KEY" in sql, name

@@ -17,6 +17,7 @@ from agent.prognosis.history import DAY_NS, disjoint
 from agent.prognosis.steps import find_steps, without
 from agent.runtime.forecasts.compensated import Compensated, compensated
 from agent.runtime.forecasts.histories import (
+    common_sd,
     forecast_document,
     history_of,
     horizon_days,
@@ -158,7 +159,7 @@ def _shape(asked: Change, points: Points) -> dict[str, Any]:
     curved = math.isfinite(asked.curvature_sd)
     curvature = (asked.curvature, asked.curvature_sd) if curved else (None, None)
     slopes = (asked.slope, asked.slope_sd, asked.slope_lower, asked.slope_upper)
-    sd = math.hypot(asked.level_sd, _common(points))
+    sd = math.hypot(asked.level_sd, common_sd(points))
     figures = (asked.level, sd, *slopes, asked.trend, asked.newest, asked.newest_sd, *curvature)
     return dict(zip(_FIGURES, figures, strict=True))
 
@@ -166,11 +167,6 @@ def _shape(asked: Change, points: Points) -> dict[str, Any]:
 def _step(t: float, size: float, sd: float, newest_ns: int) -> dict[str, Any]:
     at = newest_ns + round(t * DAY_NS)
     return {"t_ns": at, "time": iso_time(at), "size": size, "sd": sd}
-
-
-def _common(points: Points) -> float:
-    """Return the sd of what the newest point shares with all the others."""
-    return math.sqrt(max(float(points.sd[-1]) ** 2 - float(points.sd_repeat[-1]) ** 2, 0.0))
 
 
 def _sentences(found: Document) -> str:

@@ -38,6 +38,11 @@ def history_of(points: Points, window_s: float) -> History:
     return blocks(sound(History(days, points.value[rows], points.sd_repeat[rows])), MOST)
 
 
+def common_sd(points: Points) -> float:
+    """Return the sd of what the newest point shares with all the others."""
+    return math.sqrt(max(float(points.sd[-1]) ** 2 - float(points.sd_repeat[-1]) ** 2, 0.0))
+
+
 def window_s(db: Path, parameter: str) -> float:
     """Return the longest window that newest estimates of a parameter rest on."""
     rows = queries.latest(db)

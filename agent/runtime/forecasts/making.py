@@ -1,7 +1,8 @@
-"""The forecasts of one rig: made of what its database holds, without anything that came later."""
+"""The trends and forecasts of one rig: made of what its database holds, without anything that came later."""
 
 import json
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +19,12 @@ from agent.prognosis.learnt import Learnt
 from agent.prognosis.passage import FARTHEST
 from agent.prognosis.steps import find_steps, without
 from agent.runtime.forecasts.compensated import compensated
-from agent.runtime.forecasts.histories import history_of, like_machines, window_s
+from agent.runtime.forecasts.histories import common_sd, history_of, like_machines, window_s
 from agent.runtime.forecasts.scoring import scores_of
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.text import iso_time
-from agent.types import ForecastRecord, HealthEvent, Record
+from agent.types import ForecastRecord, HealthEvent, Record, TrendRecord
 
 SOURCE, FAILURE = "forecast", "failure"
 """What events of forecasts that could not be made are called."""
@@ -43,7 +44,7 @@ class Made:
 
 
 class Forecaster:
-    """Makes and scores the forecasts of one rig; whatever fails in it becomes an event.
+    """Says how the parameters of one rig move, makes and scores its forecasts; what fails becomes an event.
 
     config: the rig's. db: its database, which is only read.
     """
@@ -51,13 +52,13 @@ class Forecaster:
     def __init__(self, config: RigConfig, db: Path) -> None:
         self.rig, self._db, self._asked = config.rig.name, db, config.forecast
         self._limits = {alarm.parameter: alarm for alarm in config.alarm if alarm.has_limit}
-        self.parameters = config.with_alarms
+        self.parameters = tuple(config.parameters)
         self._window_s = max(config.estimator.windows_s, default=None)
         self._like: dict[tuple[str, float], Learnt | None] = {}
         self._reported: dict[str, str] = {}
 
     def make(self, cause: str, parameters: Sequence[str], until_ns: int | None = None) -> Made:
-        """Return the forecasts of parameters, and the scores of earlier ones that are due.
+        """Return trends and forecasts of parameters, and the scores of earlier forecasts that are due.
 
         until_ns: the newest instant that may be looked at; None for all.
         """
@@ -100,18 +101,18 @@ class Forecaster:
         outlook, record = self._look(cause, points)
         return Made((*scores, *record), (outlook,))
 
-    def _look(self, cause: str, points: Points) -> tuple[Outlook, list[ForecastRecord]]:
+    def _look(self, cause: str, points: Points) -> tuple[Outlook, list[Record]]:
         seen = self._seen(points)
         rule = self._limits.get(points.parameter)
         if rule is None:
-            return _outlook(seen, None, None), []
+            return _outlook(seen, None, None), [_trend(seen)]
         way = _way(rule, seen.reference)
         side = _side(rule, seen.change, seen.level - seen.reference)
         limit = seen.reference + side * way
         made = self._forecast(seen, limit)
         if made.status == "too short" and side * (seen.level - limit) >= 0.0:
             made = Forecast("crossed", horizon=made.horizon, chance=1.0)
-        return _outlook(seen, way, made), [_record(cause, seen, made, limit)]
+        return _outlook(seen, way, made), [_trend(seen), _record(cause, seen, made, limit)]
 
     def _seen(self, points: Points) -> "_Seen":
         window = self._window_s if self._window_s is not None else window_s(self._db, points.parameter)
@@ -178,6 +179,16 @@ def _side(rule: Alarm, asked: Change | None, delta: float) -> float:
         return -1.0 if rule.side == "low" else 1.0
     moves = delta if asked is None else asked.newest
     return 1.0 if moves > 0.0 else -1.0
+
+
+def _trend(seen: _Seen) -> TrendRecord:
+    """Return a parameter's level and slope as they are stored."""
+    points, asked = seen.points, seen.change
+    of = (points.rig, points.parameter, int(points.t_ns[-1]))
+    if asked is None:
+        return TrendRecord(*of, seen.level, float(points.sd[-1]), None, None, trend=False)
+    sd = math.hypot(asked.level_sd, common_sd(points))
+    return TrendRecord(*of, asked.level, sd, asked.slope, asked.slope_sd, trend=asked.trend)
 
 
 def _record(cause: str, seen: _Seen, made: Forecast, limit: float) -> ForecastRecord:

@@ -37,12 +37,10 @@ class ReplayedForecasts:
             yield self._forecaster.make(cause, parameters, t_ns)
 
     def _instants(self, records: Sequence[Record]) -> list[tuple[int, str, tuple[str, ...]]]:
-        if not self._config.with_alarms:
-            return []
         found: list[tuple[int, str, tuple[str, ...]]] = []
         found += [(at, ALARM, (parameter,)) for at, parameter in self._schedule.at_alarms(records)]
         for batch in records:
             if isinstance(batch, EstimateBatch) and len(batch):
                 passed = [at for end in (0, -1) for at in self._schedule.due(int(batch.t_ns[end]))]
-                found += [(at, DUE, self._config.with_alarms) for at in passed]
+                found += [(at, DUE, tuple(self._config.parameters)) for at in passed]
         return sorted(found)

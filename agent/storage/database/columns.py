@@ -84,6 +84,8 @@ TABLES: dict[str, str] = {
     "defect_outputs REAL, rank INTEGER NOT NULL, rank_joined INTEGER NOT NULL, defect_special REAL, "
     "z_zero INTEGER NOT NULL, iterations INTEGER NOT NULL, converged INTEGER NOT NULL, cost REAL, step REAL, "
     "passes INTEGER NOT NULL, ratio REAL, trail TEXT NOT NULL",
+    "trends": "run_id INTEGER NOT NULL, parameter TEXT NOT NULL, t_ns INTEGER NOT NULL, value REAL, sd REAL, "
+    "slope_per_day REAL, slope_sd REAL, trend INTEGER NOT NULL",
 }
 """Columns of each table between `seq INTEGER PRIMARY KEY` and `crc INTEGER NOT NULL`, as it was made."""
 ADDED = {"estimates": ("repeat",)}

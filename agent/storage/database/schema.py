@@ -20,13 +20,14 @@ from agent.storage.database.checksum import row_crc
 from agent.storage.database.columns import ADDED, TABLES, insert_sql
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
 from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
-from agent.storage.database.views_of_versions_7_and_8 import (
+from agent.storage.database.views_since_version_7 import (
     BASELINES,
     CONDITIONS,
     COVARIATES,
     FORECASTS,
     NOTIFICATIONS,
     OPERATIONS,
+    TRENDS,
 )
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = 0x64744B31
 """Bytes 68 to 71 of the file: "dtK1"."""
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
@@ -43,6 +44,7 @@ _SINCE = {
     "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7,
     "annotations": 7,
     "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7, "covariates": 8, "conditions": 8,
+    "trends": 9,
 }  # fmt: skip
 """The version that brought a table, of those that version 1 did not have."""
 
@@ -155,6 +157,13 @@ def _covariates_conditions(db: "Database") -> None:
     _mark(db.conn, 8)
 
 
+def _trends(db: "Database") -> None:
+    """Version 9: how parameters moved, as the agent saw it."""
+    _create(db.conn, "trends")
+    db.conn.execute(TRENDS)
+    _mark(db.conn, 9)
+
+
 _STEPS: dict[str, Callable[["Database"], None]] = {
     "0001_tables_views_and_marks": _tables_views_and_marks,
     "0002_event_records": _event_records,
@@ -164,6 +173,7 @@ _STEPS: dict[str, Callable[["Database"], None]] = {
     "0006_repeat_and_verdicts": _repeat_and_verdicts,
     "0007_forecasts_operations_baselines_notifications": _forecasts_operations_baselines_notifications,
     "0008_covariates_conditions": _covariates_conditions,
+    "0009_trends": _trends,
 }
 """The migrations in order. A view's text is part of a version: a file where it differs counts as damaged."""
 

@@ -20,7 +20,7 @@ _WAL_HEADER, _FRAME_HEADER = 32, 24
 _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health",
     "events", "event_records", "learnt", "hypotheses", "shelves", "annotations", "sites",
-    "graphs", "baselines", "forecasts", "covariates", "conditions",
+    "graphs", "baselines", "forecasts", "covariates", "conditions", "trends",
 )  # fmt: skip
 _CARVED_AT_ONCE = 10_000
 _Key = tuple[int, bool]

@@ -281,6 +281,7 @@ def _drop_orphans(target: sqlite3.Connection) -> None:
         "DELETE FROM baselines WHERE rig_id NOT IN (SELECT seq FROM rigs)",
         "DELETE FROM covariates WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM forecasts WHERE run_id NOT IN (SELECT seq FROM runs)",
+        "DELETE FROM trends WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM clocks WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM sites WHERE run_id NOT IN (SELECT seq FROM runs)",
         "DELETE FROM alarm_events WHERE alarm_id NOT IN (SELECT seq FROM alarms)",

@@ -1,11 +1,11 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
-"""Rows of forecasts: added as they are made, changed once, when they are scored."""
+"""Rows of trends, and of forecasts: added as they are made; forecasts change once, when they are scored."""
 
 import sqlite3
 
 from agent.storage.database.columns import columns_of
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import ForecastRecord, ForecastScore
+from agent.types import ForecastRecord, ForecastScore, TrendRecord
 
 _NAMES = columns_of("forecasts")[:-1]
 _ROW = f"SELECT {', '.join(_NAMES)} FROM forecasts WHERE seq = ?"
@@ -18,6 +18,12 @@ def add_forecast(plan: Plan, record: ForecastRecord, run_id: int, numbers: Numbe
     when = (record.p10_ns, record.p50_ns, record.p90_ns, record.chance, record.horizon_s)
     rest = (record.family, record.draws, record.cause, *(None for _ in _SCORE))
     plan.sealed("forecasts", numbers.take("forecasts"), run_id, *made, *when, *rest)
+
+
+def add_trend(plan: Plan, record: TrendRecord, run_id: int, numbers: Numbers) -> None:
+    """Add how a parameter moves."""
+    line = (record.value, record.sd, record.slope_per_day, record.slope_sd, int(record.trend))
+    plan.sealed("trends", numbers.take("trends"), run_id, record.parameter, record.t_ns, *line)
 
 
 def add_score(plan: Plan, score: ForecastScore, connection: sqlite3.Connection) -> None:

@@ -13,7 +13,7 @@ from agent.storage.tables.clocks import ClockRows
 from agent.storage.tables.coverage import Coverage
 from agent.storage.tables.estimates import add_estimates
 from agent.storage.tables.event_records import EventRecordRows
-from agent.storage.tables.forecasts import add_forecast, add_score
+from agent.storage.tables.forecasts import add_forecast, add_score, add_trend
 from agent.storage.tables.learnt import LearntRows
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.status import HealthRows, add_conditions, add_event, add_mean, add_verdict
@@ -31,6 +31,7 @@ from agent.types import (
     LearntRecord,
     Record,
     RunInfo,
+    TrendRecord,
     Verdict,
 )
 
@@ -145,7 +146,7 @@ class RunRows:
             self._alarms[run_id].apply(plan, record, self._numbers)
         elif isinstance(record, Health):
             self._health.apply(plan, record, self._clocks[run_id].newest, self._numbers)
-        elif isinstance(record, HealthEvent | Verdict | CovariateMean | ConditionsRecord):
+        elif isinstance(record, HealthEvent | Verdict | CovariateMean | ConditionsRecord | TrendRecord):
             self._add_row(plan, run_id, record)
         elif isinstance(record, LearntRecord):
             self._learnt.apply(plan, record, run_id, self._numbers)
@@ -157,7 +158,10 @@ class RunRows:
             self._records.apply(plan, record, run_id, self._numbers, self._connection())
 
     def _add_row(
-        self, plan: Plan, run_id: int, record: HealthEvent | Verdict | CovariateMean | ConditionsRecord
+        self,
+        plan: Plan,
+        run_id: int,
+        record: HealthEvent | Verdict | CovariateMean | ConditionsRecord | TrendRecord,
     ) -> None:
         """Add what is one row of a table and depends on none that was stored before."""
         if isinstance(record, HealthEvent):
@@ -166,6 +170,8 @@ class RunRows:
             add_verdict(plan, record, run_id, self._numbers)
         elif isinstance(record, CovariateMean):
             add_mean(plan, record, run_id, self._numbers)
+        elif isinstance(record, TrendRecord):
+            add_trend(plan, record, run_id, self._numbers)
         else:
             add_conditions(plan, record, run_id, self._numbers)
 

@@ -4,10 +4,10 @@
 import sqlite3
 
 KEPT = 100_000
-"""Events, alarms, verdicts, forecasts, records that are gone: some 20 to 50 MB each: years of a quiet rig."""
+"""Events, alarms, verdicts, forecasts, trends, lost records: some 20 to 50 MB each: years of a quiet rig."""
 
 _OLD = "seq <= (SELECT seq FROM {table} ORDER BY seq DESC LIMIT 1 OFFSET ?)"
-_OVER = {"events": "", "hypotheses": "", "forecasts": "", "conditions": "", "notifications": "",
+_OVER = {"events": "", "hypotheses": "", "forecasts": "", "trends": "", "conditions": "", "notifications": "",
          "alarms": " AND cleared_ns IS NOT NULL",
          "event_records": " AND state IN ('purged', 'failed')"}  # fmt: skip
 """What of a table may go: an alarm that stands and a record whose file is there stay, however old."""

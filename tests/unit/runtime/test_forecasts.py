@@ -14,6 +14,7 @@ import pytest
 import scoringrules
 
 from agent.blocks.advisory.prognosis_alarms import PrognosisAlarms
+from agent.cli.prognosis.trend import document
 from agent.config import Forecast as Asked
 from agent.config import RigConfig
 from agent.runtime.forecasts.making import Forecaster, Made
@@ -23,7 +24,7 @@ from agent.runtime.forecasts.thread import ForecastThread
 from agent.storage.read import queries
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import EstimateBatch, ForecastRecord, ForecastScore, HealthEvent, Record
+from agent.types import EstimateBatch, ForecastRecord, ForecastScore, HealthEvent, Record, TrendRecord
 from tests.storage.rows import START, batch, run_info, step
 from tests.unit.config.config_texts import PRESS, read, with_fake_driver
 
@@ -82,6 +83,26 @@ def test_forecast_is_of_the_limit_that_the_parameter_moves_to(rig: RigConfig, tm
     assert len(draws) == 40
     assert draws == sorted(draws)
     assert sum(json.loads(record.family).values()) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_trend_is_stored_as_the_command_says_it_of_parameters_without_alarms_too(
+    rig: RigConfig, tmp_path: Path
+) -> None:
+    path = store(tmp_path / "a.db", falling(0, 30))
+    forecaster = Forecaster(rig, path)
+    assert set(forecaster.parameters) > set(rig.with_alarms)
+    found = {
+        record.parameter: record
+        for record in forecaster.make("due", forecaster.parameters).records
+        if isinstance(record, TrendRecord)
+    }
+    assert set(found) == {"k1", "k2", "B1", "B2"}
+    for name, record in found.items():
+        said = document(path, name, None, (None, None), None)
+        columns = ("value", "sd", "slope_per_day", "slope_sd", "trend")
+        assert [getattr(record, column) for column in columns] == [said[column] for column in columns]
+    assert found["k1"].trend
+    assert found["k1"].slope_per_day == pytest.approx(-5.0 / FALL, abs=4 * (found["k1"].slope_sd or 0.0))
 
 
 def test_forecast_is_the_same_to_the_last_bit_whether_later_rows_exist_or_not(

@@ -92,7 +92,13 @@ def test_watch_names_a_clipped_channel_of_few_digits(count: int) -> None:
 
 @pytest.mark.parametrize(
     ("readings", "step"),
-    [([1.23, 1.25, 1.28], 0.01), ([0.998, 1.0, 1.01], 0.002), ([5.0, 5.0], 0.0), ([], 0.0), ([0.3, 0.7], 0.4)],
+    [
+        ([1.23, 1.25, 1.28], 0.01),
+        ([0.998, 1.0, 1.01], 0.002),
+        ([5.0, 5.0], 0.0),
+        ([], 0.0),
+        ([0.3, 0.7], 0.4),
+    ],
 )
 def test_resolution_of_readings_is_what_divides_all_their_differences(
     readings: list[float], step: float

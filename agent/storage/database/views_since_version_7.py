@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - these statements are put together from this package's own texts only
-"""The views that came with versions 7 and 8; their texts belong to those versions."""
+"""The views that came with versions 7, 8 and 9; their texts belong to those versions."""
 
 from agent.storage.database.views import covered, time_text
 
@@ -88,3 +88,10 @@ CONDITIONS: tuple[str, ...] = (
  WHERE NOT {covered("o.run_id", "o.t_ns")}""",
 )
 """Version 8: the paper's conditions by window."""
+
+TRENDS = f"""CREATE VIEW v_trend AS SELECT g.name AS rig, coalesce(c.part_of, o.run_id) AS run_id,
+ o.parameter AS parameter, o.t_ns AS t_ns, {time_text("o.t_ns")} AS time, o.value AS value, o.sd AS sd,
+ o.slope_per_day AS slope_per_day, o.slope_sd AS slope_sd, o.trend AS trend, r.code_version AS code_version,
+ o.seq AS id FROM trends o JOIN runs r ON r.seq = o.run_id JOIN rigs g ON g.seq = r.rig_id
+ LEFT JOIN clocks c ON c.run_id = o.run_id WHERE NOT {covered("o.run_id", "o.t_ns")}"""
+"""Version 9."""

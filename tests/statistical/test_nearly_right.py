@@ -12,6 +12,7 @@ QUICK_WINDOWS, FULL_WINDOWS, FULL_RECORDINGS = 30, 100, 3
 FIRST_SEED = 5000
 QUICK = (
     "right", "right, three masses", "noise x 0.5", "m1 +5 %", "middle mass +8 %",
+    "m1 -15 %, all else within its sheet",
     "x2 reads 5 % more, three masses",
     "held, hold first, one mass", "held, hold first, accelerometers",
     "hum", "driving-point accelerometer", "gain by poles", "mass 3 % and hum",

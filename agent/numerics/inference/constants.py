@@ -61,13 +61,19 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     share = tuning.PRIOR_HEALTHY / len(base)
     off = _off(constants)
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
-    usual, share_off = base[0][1] + _least(sheet), (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
-    others = [
-        Hypothesis(
-            name, e, drifts, usual + size**2 * np.outer(e, e), quiet + walk**2 * np.outer(e, e), share_off
-        )
-        for name, e, drifts, size, walk in off
-    ]
+    share_off = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
+    others = []
+    for name, e, drifts, size, walk in off:
+        # what a delay may be is little more than its own data sheet: all within theirs is that case already
+        is_delay = any(c.kind == "delay" for c, member in zip(constants, e, strict=True) if member)
+        factors = tuning.REST_FACTORS[:1] if is_delay else tuning.REST_FACTORS
+        others += [
+            Hypothesis(
+                name, e, drifts, _within(sheet, shows, factor) + _least(sheet) + size**2 * np.outer(e, e),
+                quiet + walk**2 * np.outer(e, e), share_off,
+            )
+            for factor in factors
+        ]  # fmt: skip
     return tuple(healthy + others)
 
 

@@ -49,6 +49,9 @@ AS_CONFIGURED = 0.02
 """Hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
 SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0)
 """Factors on all data-sheet sds, a hypothesis each. Needed by: all constants off within their data sheet."""
+REST_FACTORS = (0.02, 1.0)
+"""Where one is off, factors on the data-sheet sds of the others, a hypothesis each: as configured, or within.
+Needed by: m1 −15 %, all else within its sheet."""
 OFF_RELATIVE = 0.3
 """Prior sd of a mass or gain that is "off". Needed by: m2 −20 %."""
 OFF_DELAY = 1.0
@@ -62,7 +65,8 @@ QUIET_WALK = 1e-4
 SWITCH = 1e-3
 """Chance a window that another hypothesis on the constants becomes the true one."""
 PRIOR_HEALTHY = 0.7
-"""Prior probability that every constant is within its data sheet."""
+"""Prior weight of "every constant is within its data sheet"; what it lacks of 1 is that of one that is off
+beside others as configured, and again that of one off beside others within theirs."""
 
 JUMP_LEVEL = 1e-6
 """False-alarm probability of the test of a jump in a window. Needed by: 0 false `changing` in 10,000 hops."""

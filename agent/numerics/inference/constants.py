@@ -48,38 +48,39 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     sheet = np.array([c.sheet for c in constants])
     shows = np.array([c.shows for c in constants], dtype=bool)
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
-    base = [("as configured", _within(sheet, shows, tuning.AS_CONFIGURED), quiet)]
-    base += [
-        (
-            "within data sheet",
-            _within(sheet, shows, factor),
-            np.diag((tuning.SHEET_WALK * factor * sheet) ** 2),
-        )
+    as_configured = _within(sheet, shows, tuning.AS_CONFIGURED) + _least(sheet), quiet
+    within = {
+        factor: (_within(sheet, shows, factor) + _least(sheet), _walk(sheet, factor))
         for factor in tuning.SHEET_FACTORS
-    ]
+    }
+    base = [("as configured", *as_configured)]
+    base += [("within data sheet", *one) for one in within.values()]
     none = np.zeros(len(constants))
     share = tuning.PRIOR_HEALTHY / len(base)
     off = _off(constants)
-    healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
+    healthy = [Hypothesis(name, none, False, P, walk, share) for name, P, walk in base]
     share_off = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
     others = []
     for name, e, drifts, size, walk in off:
         # what a delay may be is little more than its own data sheet: all within theirs is that case already
         is_delay = any(c.kind == "delay" for c, member in zip(constants, e, strict=True) if member)
-        factors = tuning.REST_FACTORS[:1] if is_delay else tuning.REST_FACTORS
+        beside = (as_configured,) if is_delay else (as_configured, within[1.0])
+        square = np.outer(e, e)
         others += [
-            Hypothesis(
-                name, e, drifts, _within(sheet, shows, factor) + _least(sheet) + size**2 * np.outer(e, e),
-                quiet + walk**2 * np.outer(e, e), share_off,
-            )
-            for factor in factors
-        ]  # fmt: skip
+            Hypothesis(name, e, drifts, P + size**2 * square, rest + walk**2 * square, share_off)
+            for P, rest in beside
+        ]
     return tuple(healthy + others)
 
 
 def _within(sheet: FloatArray, shows: NDArray[np.bool_], factor: float) -> FloatArray:
     """Covariance of constants within a factor of their data sheets; those no data show stay at theirs."""
     return np.diag((np.where(shows, factor, 1.0) * sheet) ** 2)
+
+
+def _walk(sheet: FloatArray, factor: float) -> FloatArray:
+    """Covariance of the random walk a window of constants within a factor of their data sheets."""
+    return np.diag((tuning.SHEET_WALK * factor * sheet) ** 2)
 
 
 def _least(sheet: FloatArray) -> FloatArray:

@@ -49,9 +49,6 @@ AS_CONFIGURED = 0.02
 """Hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
 SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0)
 """Factors on all data-sheet sds, a hypothesis each. Needed by: all constants off within their data sheet."""
-REST_FACTORS = (0.02, 1.0)
-"""Where one is off, factors on the data-sheet sds of the others, a hypothesis each: as configured, or within.
-Needed by: m1 −15 %, all else within its sheet."""
 OFF_RELATIVE = 0.3
 """Prior sd of a mass or gain that is "off". Needed by: m2 −20 %."""
 OFF_DELAY = 1.0

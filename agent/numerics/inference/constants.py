@@ -51,26 +51,22 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
     base = [("as configured", _within(sheet, shows, held, tuning.AS_CONFIGURED), quiet)]
     base += [
-        (
-            "within data sheet",
-            _within(sheet, shows, held, factor),
-            np.diag((tuning.SHEET_WALK * np.where(held, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
-        )
+        ("within data sheet", _within(sheet, shows, held, factor), _walk(sheet, held, factor))
         for factor in tuning.SHEET_FACTORS
     ]
     none = np.zeros(len(constants))
     share = tuning.PRIOR_HEALTHY / len(base)
-    off = _off(constants)
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
+    off = _off(constants)
+    share_off = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
     others = []
     for name, e, drifts, size, walk in off:
-        # a force that is held says nothing of how well all else is known
-        beside = healthy if e @ held else healthy[:1]
-        share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside)
+        beside = _beside(healthy, e, constants)
+        square = np.outer(e, e)
         others += [
             Hypothesis(
-                name, e, drifts, b.covariance + size**2 * np.outer(e, e), b.walk + walk**2 * np.outer(e, e),
-                share,
+                name, e, drifts, b.covariance + size**2 * square, b.walk + walk**2 * square,
+                share_off / len(beside),
             )
             for b in beside
         ]  # fmt: skip
@@ -86,6 +82,25 @@ def _within(
     """
     share = np.where(held, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
     return np.diag((share * sheet) ** 2)
+
+
+def _walk(sheet: FloatArray, held: NDArray[np.bool_], factor: float) -> FloatArray:
+    """Covariance of the random walk a window of constants within a factor of their data sheets."""
+    return np.diag((tuning.SHEET_WALK * np.where(held, tuning.AS_CONFIGURED, factor) * sheet) ** 2)
+
+
+def _beside(healthy: list[Hypothesis], e: FloatArray, constants: tuple[Constant, ...]) -> list[Hypothesis]:
+    """Return what may hold of all other constants where those of direction e are off.
+
+    A force that is held says nothing of how well all else is known. What a delay may be is little more than
+    its own data sheet, so that all within theirs is that case already.
+    """
+    members = [c for c, member in zip(constants, e, strict=True) if member]
+    if any(c.is_held for c in members):
+        return healthy
+    if any(c.kind == "delay" for c in members):
+        return healthy[:1]
+    return [healthy[0], healthy[1 + tuning.SHEET_FACTORS.index(1.0)]]
 
 
 def _least(sheet: FloatArray) -> FloatArray:

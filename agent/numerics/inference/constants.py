@@ -5,7 +5,7 @@ one group (all masses, all outputs, all inputs) off, or drifting. Each carries m
 window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,11 +66,12 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
         others += [
             Hypothesis(
                 name, e, drifts, b.covariance + size**2 * square, b.walk + walk**2 * square,
-                share_off / len(beside),
+                share_off / (len(beside) if e @ held else 1),
             )
             for b in beside
         ]  # fmt: skip
-    return tuple(healthy + others)
+    total = sum(h.prior for h in healthy + others)
+    return tuple(replace(h, prior=h.prior / total) for h in healthy + others)
 
 
 def _within(

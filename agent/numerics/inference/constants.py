@@ -61,7 +61,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     share_off = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
     others = []
     for name, e, drifts, size, walk in off:
-        beside = _beside(healthy, e, constants)
+        beside = healthy[:1] if drifts else _beside(healthy, e, constants)
         square = np.outer(e, e)
         others += [
             Hypothesis(

@@ -36,6 +36,10 @@ ENTRY = PLATEAU + BRAKED_OVER + 1
 REST = 0.5
 """An input that is at one value for so much of the time rests there."""
 
+ALIKE = 0.8
+"""Share of a flat top's value from which on readings have its step, where steps grow with values. Of the few
+nearer ones the divisor is often a multiple of the step, and clips are missed."""
+
 ROUNDING = 1e-9
 """Share of a reading up to which differences are rounding: 30 bits, more than a sensor has."""
 
@@ -134,7 +138,8 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
         if count < PLATEAU or start < BRAKED_OVER + 2 or start + PLATEAU <= ENTRY:
             continue
         side = int(x[start] > x[start - 1])
-        here = max(grain, resolution(x[np.abs(x - x[start]) <= abs(x[start] - x[start - 2])]))
+        near = np.abs(x - x[start]) <= abs(x[start] - x[start - 2])
+        here = max(grain, resolution(x[near | (x * x[start] >= ALIKE * x[start] ** 2)]))
         speed = unbraked((1 if side else -1) * np.diff(x[start - BRAKED_OVER - 2 : start]), here)
         if speed * count > OVERSHOOT * here:
             found.append(Top(side, float(x[start]), float(speed * count / here)))

@@ -185,7 +185,10 @@ class Server:
 
 def _children(parent: int) -> list[int]:
     """Return the processes below one; those of PostgreSQL are each a session of its own."""
-    found = Path(f"/proc/{parent}/task/{parent}/children").read_text(encoding="ascii").split()
+    try:
+        found = Path(f"/proc/{parent}/task/{parent}/children").read_text(encoding="ascii").split()
+    except (FileNotFoundError, ProcessLookupError):  # it has ended since it was listed
+        return []
     return [process for child in map(int, found) for process in (child, *_children(child))]
 
 

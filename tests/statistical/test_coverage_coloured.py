@@ -21,12 +21,21 @@ QUICK = {
 """Runs of each case where time is short."""
 
 
-def hold(name: str, found: Coverage) -> None:
+SLACK_SD = 2.0
+"""Standard deviations of a count by which the share in few runs may lie below its bound; 200 runs have none.
+"""
+
+
+def hold(name: str, found: Coverage, windows: int | None = None) -> None:
+    """Assert the bounds; windows: of few runs, whose shares scatter."""
+    slack = 0.0 if windows is None else SLACK_SD / windows**0.5
     # a damper may be unexcited for a window: few runs tell no more than this; and the rounding of a force by
     # 16 bits is a force noise that the first ten windows hardly tell from none, and take for a change in one
     # of thirty
-    assert found.valid.min() >= (0.92 if name.startswith("16 bits") else 0.95)
-    assert found.covered.min() >= (0.92 if name.startswith("white") else 0.90)
+    valid = 0.92 if name.startswith("16 bits") else 0.95
+    covered = 0.92 if name.startswith("white") else 0.90
+    assert found.valid.min() >= valid - slack * (valid * (1 - valid)) ** 0.5
+    assert found.covered.min() >= covered - slack * (covered * (1 - covered)) ** 0.5
     if name.startswith("white"):
         # the constants' data sheets are in the intervals, and here the constants are exact
         assert float(np.mean(found.covered)) <= 0.99
@@ -36,7 +45,7 @@ def hold(name: str, found: Coverage) -> None:
 def test_intervals_under_a_disturbance_hold_the_truth(name: str, request: pytest.FixtureRequest) -> None:
     found = cover(name, QUICK[name])
     say(request, f"{name}, {QUICK[name]} runs: {found}")
-    hold(name, found)
+    hold(name, found, QUICK[name] * CASES[name].windows)
 
 
 @pytest.mark.soak

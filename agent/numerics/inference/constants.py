@@ -5,7 +5,7 @@ one group (all masses, all outputs, all inputs) off, or drifting. Each carries m
 window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -51,27 +51,30 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
     base = [("as configured", _within(sheet, shows, held, tuning.AS_CONFIGURED), quiet)]
     base += [
-        ("within data sheet", _within(sheet, shows, held, factor), _walk(sheet, held, factor))
+        (
+            "within data sheet",
+            _within(sheet, shows, held, factor),
+            np.diag((tuning.SHEET_WALK * np.where(held, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
+        )
         for factor in tuning.SHEET_FACTORS
     ]
     none = np.zeros(len(constants))
     share = tuning.PRIOR_HEALTHY / len(base)
-    healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     off = _off(constants)
-    share_off = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
+    healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     others = []
     for name, e, drifts, size, walk in off:
-        beside = healthy[:1] if drifts else _beside(healthy, e, constants)
-        square = np.outer(e, e)
+        # a force that is held says nothing of how well all else is known
+        beside = healthy if e @ held else healthy[:1]
+        share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside)
         others += [
             Hypothesis(
-                name, e, drifts, b.covariance + size**2 * square, b.walk + walk**2 * square,
-                share_off / (len(beside) if e @ held else 1),
+                name, e, drifts, b.covariance + size**2 * np.outer(e, e), b.walk + walk**2 * np.outer(e, e),
+                share,
             )
             for b in beside
         ]  # fmt: skip
-    total = sum(h.prior for h in healthy + others)
-    return tuple(replace(h, prior=h.prior / total) for h in healthy + others)
+    return tuple(healthy + others)
 
 
 def _within(
@@ -83,25 +86,6 @@ def _within(
     """
     share = np.where(held, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
     return np.diag((share * sheet) ** 2)
-
-
-def _walk(sheet: FloatArray, held: NDArray[np.bool_], factor: float) -> FloatArray:
-    """Covariance of the random walk a window of constants within a factor of their data sheets."""
-    return np.diag((tuning.SHEET_WALK * np.where(held, tuning.AS_CONFIGURED, factor) * sheet) ** 2)
-
-
-def _beside(healthy: list[Hypothesis], e: FloatArray, constants: tuple[Constant, ...]) -> list[Hypothesis]:
-    """Return what may hold of all other constants where those of direction e are off.
-
-    A force that is held says nothing of how well all else is known. What a delay may be is little more than
-    its own data sheet, so that all within theirs is that case already.
-    """
-    members = [c for c, member in zip(constants, e, strict=True) if member]
-    if any(c.is_held for c in members):
-        return healthy
-    if any(c.kind == "delay" for c in members):
-        return healthy[:1]
-    return [healthy[0], healthy[1 + tuning.SHEET_FACTORS.index(1.0)]]
 
 
 def _least(sheet: FloatArray) -> FloatArray:

@@ -62,8 +62,7 @@ QUIET_WALK = 1e-4
 SWITCH = 1e-3
 """Chance a window that another hypothesis on the constants becomes the true one."""
 PRIOR_HEALTHY = 0.7
-"""Prior weight of "every constant is within its data sheet"; what it lacks of 1 is that of one that is off
-beside others as configured, and again that of one off beside others within theirs."""
+"""Prior probability that every constant is within its data sheet."""
 
 JUMP_LEVEL = 1e-6
 """False-alarm probability of the test of a jump in a window. Needed by: 0 false `changing` in 10,000 hops."""

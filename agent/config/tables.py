@@ -212,11 +212,6 @@ class RigConfig(Table):
         return tuple(alarm for alarm in self.alarm if "level" in alarm.kinds)
 
     @property
-    def with_alarms(self) -> tuple[str, ...]:
-        """The parameters that any alarm is of, in the file's order."""
-        return tuple(dict.fromkeys(alarm.parameter for alarm in self.alarm))
-
-    @property
     def inputs(self) -> tuple[Channel, ...]:
         """The channels that drive the model, in the file's order."""
         return tuple(channel for channel in self.channel if channel.is_input)

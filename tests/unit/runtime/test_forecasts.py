@@ -90,7 +90,7 @@ def test_trend_is_stored_as_the_command_says_it_of_parameters_without_alarms_too
 ) -> None:
     path = store(tmp_path / "a.db", falling(0, 30))
     forecaster = Forecaster(rig, path)
-    assert set(forecaster.parameters) > set(rig.with_alarms)
+    assert set(forecaster.parameters) > {alarm.parameter for alarm in rig.alarm}
     found = {
         record.parameter: record
         for record in forecaster.make("due", forecaster.parameters).records

@@ -3,7 +3,7 @@
 import csv
 import os
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from agent.storage.database.files import (
     kind_of,
     refuse,
     refuse_links,
+    remove_database,
     sync_folder,
 )
 from agent.storage.database.verify import problems
@@ -99,8 +100,7 @@ def repair(path: Path | str) -> Recovery | None:
     check_place(path)
     kind = kind_of(path)
     refuse(path, kind)
-    if kind is Kind.MISSING:
-        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    _refuse_missing(path, kind)
     refuse_links(path)
     if is_commanded(path):
         return _recovery(ask(path, "repair")["repaired"])
@@ -108,7 +108,7 @@ def repair(path: Path | str) -> Recovery | None:
     try:
         lock = Lock(path)
     except StoreHeldError as held:
-        return _recovery(ask_holder(path, "repair", held)["repaired"])
+        return _recovery(_ask_holder(path, "repair", held)["repaired"])
     try:
         watermarks = Watermarks(lock.handle, private=lock.private)
         words, torn = watermarks.missing(path)
@@ -145,21 +145,15 @@ def compact(path: Path | str) -> tuple[int, int]:
     Needs as much free space as the file takes. An agent that writes to it is asked to do it.
     Raises StoreError as `Store.open` does.
     """
-    path = Path(path)
-    check_place(path)
-    if kind_of(path) is Kind.MISSING:
-        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+    path = existing(path)
     before = path.stat().st_size
-    if is_commanded(path):
-        answer = ask(path, "compact")
-        return answer["bytes_before"], answer["bytes_after"]
-    try:
-        with Store.open(path) as store:
-            store.compact()
-    except StoreHeldError as held:
-        answer = ask_holder(path, "compact", held)
-        return answer["bytes_before"], answer["bytes_after"]
-    return before, path.stat().st_size
+
+    def act(store: Store) -> dict[str, Any]:
+        store.compact()
+        return {"bytes_before": before, "bytes_after": path.stat().st_size}
+
+    answer = through_agent(path, "compact", act)
+    return answer["bytes_before"], answer["bytes_after"]
 
 
 def store_baselines(path: Path | str, baselines: Sequence[Baseline]) -> list[int]:
@@ -168,18 +162,51 @@ def store_baselines(path: Path | str, baselines: Sequence[Baseline]) -> list[int
     An agent that writes to it is asked to, and counts from them at once. Raises StoreError as `Store.open`
     does.
     """
-    path = Path(path)
+
+    def act(store: Store) -> dict[str, Any]:
+        return {"baseline_ids": [one.baseline_id or 0 for one in store.add_baselines(baselines)]}
+
     fields = [asdict(one) for one in baselines]
+    return list(through_agent(Path(path), "baseline", act, baselines=fields)["baseline_ids"])
+
+
+def existing(path: Path | str) -> Path:
+    """Return the path of a database. Raises StoreError where there is none."""
+    path = Path(path)
+    check_place(path)
+    _refuse_missing(path, kind_of(path))
+    return path
+
+
+def _refuse_missing(path: Path, kind: Kind) -> None:
+    if kind is Kind.MISSING:
+        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+
+
+def through_agent(
+    path: Path, command: str, act: Callable[[Store], dict[str, Any]], **arguments: Any
+) -> dict[str, Any]:
+    """Have a database changed by the agent that owns it, or here, under its lock, where there is none.
+
+    Args:
+        path: of the database.
+        command: what the agent is asked.
+        act: what is done here, answering as the agent does.
+        **arguments: of the command, see `ask`.
+
+    Raises:
+        StoreError: as `Store.open` and `ask` do.
+    """
     if is_commanded(path):
-        return list(ask(path, "baseline", baselines=fields)["baseline_ids"])
+        return ask(path, command, **arguments)
     try:
         with Store.open(path) as store:
-            return [one.baseline_id or 0 for one in store.add_baselines(baselines)]
+            return act(store)
     except StoreHeldError as held:
-        return list(ask_holder(path, "baseline", held, baselines=fields)["baseline_ids"])
+        return _ask_holder(path, command, held, **arguments)
 
 
-def ask_holder(path: Path, command: str, held: StoreHeldError, **arguments: Any) -> dict[str, Any]:
+def _ask_holder(path: Path, command: str, held: StoreHeldError, **arguments: Any) -> dict[str, Any]:
     """Have the agent that owns a database do it; an owner without a socket (a replay ...) cannot be asked.
 
     arguments: of `ask`.
@@ -216,8 +243,7 @@ def backup(path: Path | str, target: Path | str) -> int:
         part.rename(target)
         sync_folder(target.parent)
     finally:
-        for suffix in ("", "-wal", "-shm", "-journal"):
-            beside(part, suffix).unlink(missing_ok=True)
+        remove_database(part)
     return target.stat().st_size
 
 

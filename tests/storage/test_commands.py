@@ -114,8 +114,8 @@ def test_ask_of_an_agent_that_ends_is_answered(path: Path, agent: StoreWriter) -
         agent._jobs.ask(lambda _: None)
 
 
-def test_errands_refused_tell_whoever_waits() -> None:
-    jobs = JobQueue("here", lambda: None)
+def test_jobs_refused_tell_whoever_waits() -> None:
+    jobs = JobQueue(lambda: None)
     answers: list[BaseException] = []
 
     def wait() -> None:
@@ -129,7 +129,7 @@ def test_errands_refused_tell_whoever_waits() -> None:
         pass
     jobs.refuse("no", "later")
     thread.join(20)
-    assert str(answers[0]) == "here: no; later"
+    assert str(answers[0]) == "its agent: no; later"
 
 
 def test_ask_waits_longer_than_its_patience_for_an_agent_that_is_at_it(

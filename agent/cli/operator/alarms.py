@@ -11,7 +11,7 @@ from agent.alarms.life_cycle import TABLE, legend, rules
 from agent.alarms.rates import ACCEPTABLE_A_DAY, MOST_A_DAY, Announced, Key, Rates, rates
 from agent.cli.terminal.output import print_json, print_rows, print_table, show
 from agent.errors import UsageError
-from agent.storage.read import queries
+from agent.storage.read import queries, recent
 from agent.storage.read.times import parse_time
 from agent.text import iso_time, number, with_local
 
@@ -115,7 +115,7 @@ def statistics(db: Path, rig: str | None, since: str | None) -> dict[str, Any]:
     """Return the measures of a file's alarms as the document of --stats. Raises StoreError, UsageError."""
     rows = queries.alarms(db, rig)
     by_id = {row["id"]: row for row in rows}
-    events = [event for event in queries.alarm_events(db) if event["alarm_id"] in by_id]
+    events = recent.alarm_events(db, rig)
     runs = queries.runs(db, rig)
     newest = max(
         [event["t_ns"] for event in events] + [row["t_ns"] for row in queries.latest(db, rig)], default=0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from math import isfinite
 from typing import Any
 
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import checked, with_crc
 from agent.storage.database.columns import columns_of, insert_sql
 from agent.types import CovariateMean
 
@@ -38,8 +38,8 @@ def newest_means(connection: sqlite3.Connection, rig: str, span_ns: int) -> list
 
 
 def _sound(rig: str, rows: Iterable[tuple[Any, ...]]) -> Iterable[CovariateMean]:
-    for *cells, crc in rows:
-        if row_crc(cells) == crc:
+    for cells in map(checked, rows):
+        if cells is not None:
             _, _, span, t_ns, name, unit, value, n = cells
             yield CovariateMean(rig, name, unit, t_ns, value, n, span)
 
@@ -67,7 +67,7 @@ def _thin_run(connection: sqlite3.Connection, take: Take, run_id: int, before: i
         hours[key] = total + mean.value * mean.n, n + mean.n
     for (name, unit, t_ns), (total, n) in hours.items():
         cells = (take("covariates"), run_id, HOUR, t_ns, name, unit, total / n, n)
-        connection.execute(insert_sql("covariates"), (*cells, row_crc(cells)))
+        connection.execute(insert_sql("covariates"), with_crc(cells))
     connection.execute(
         f"DELETE FROM covariates WHERE run_id = ? AND span = {MINUTE} AND t_ns < ?", (run_id, before)
     )

@@ -8,6 +8,7 @@ it.
 import zlib
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +96,18 @@ def row_crc(cells: Iterable[Cell]) -> int:
     """
     number = zlib.crc32("\x1f".join(_text(cell) for cell in cells).encode("utf-8", "surrogatepass"))
     return number - (1 << 32) if number >= 1 << 31 else number
+
+
+def with_crc(cells: Sequence[Cell]) -> tuple[Cell, ...]:
+    """Return a row of mixed types: its cells, and behind them their checksum."""
+    return (*cells, row_crc(cells))
+
+
+def checked(row: Sequence[Any] | None) -> tuple[Any, ...] | None:
+    """Return the cells of a row before its checksum; None where that is wrong, and without a row."""
+    if row is None or row_crc(row[:-1]) != row[-1]:
+        return None
+    return tuple(row[:-1])
 
 
 def _text(cell: Cell) -> str:

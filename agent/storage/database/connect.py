@@ -19,6 +19,7 @@ from agent.storage.database.files import (
     opened,
     refuse,
     refuse_links,
+    remove_database,
     sync_folder,
 )
 from agent.storage.database.schema import PAGE_SIZE, SCHEMA_VERSION, strange_schema, version_of, write_schema
@@ -86,8 +87,7 @@ def may_pass(error: BaseException) -> bool:
 def create(path: Path) -> None:
     """Make a new database at a path in one step: built under another name, then renamed."""
     fresh = beside(path, ".new")
-    for suffix in ("", "-wal", "-shm", "-journal"):
-        beside(fresh, suffix).unlink(missing_ok=True)
+    remove_database(fresh)
     build(fresh)
     fresh.rename(path)
     sync_folder(path.parent)
@@ -126,6 +126,19 @@ def connect_writer(path: Path) -> sqlite3.Connection:
             connection.close()
             raise
     return connection
+
+
+@contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """Run what stands inside as one transaction: committed at its end, undone when it raises."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
 
 
 @contextmanager

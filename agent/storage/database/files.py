@@ -24,6 +24,7 @@ _FIXED = (
 """Header bytes of every file of ours; SQLite takes some, when wrong, for a file it may not write to."""
 _HEAD = 256 * 1024
 _BLOCK = 1024 * 1024
+_COMPANIONS = ("-wal", "-shm", "-journal")  # what SQLite itself writes beside a database
 
 
 class Kind(Enum):
@@ -39,6 +40,12 @@ class Kind(Enum):
 def beside(path: Path, suffix: str) -> Path:
     """Return the path of a companion file: the database's whole name and a suffix."""
     return path.with_name(path.name + suffix)
+
+
+def remove_database(path: Path) -> None:
+    """Remove a database and its log, the log first: one that stayed would be read into the next file."""
+    for suffix in (*_COMPANIONS, ""):
+        beside(path, suffix).unlink(missing_ok=True)
 
 
 def opened(path: Path | str, flags: int, mode: int = 0o640) -> int:
@@ -57,7 +64,7 @@ def created(path: Path) -> BinaryIO:
 
 def refuse_links(path: Path) -> None:
     """Raise StoreError where the database, or what SQLite writes beside it, is a symbolic link."""
-    for suffix in ("", "-wal", "-shm", "-journal"):
+    for suffix in ("", *_COMPANIONS):
         file = beside(path, suffix)
         if file.is_symlink():
             advice = "give the path that it leads to" if not suffix else "remove it"

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
 from agent import __version__
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import with_crc
 from agent.storage.database.columns import ADDED, TABLES, insert_sql
 from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
 from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
@@ -77,7 +77,7 @@ def _tables_views_and_marks(db: "Database") -> None:
     for number, (key, value) in enumerate(
         (("schema_version", "1"), ("created_by", f"deltak {__version__}")), 1
     ):
-        db.conn.execute(insert_sql("meta"), (number, key, value, row_crc((number, key, value))))
+        db.conn.execute(insert_sql("meta"), with_crc((number, key, value)))
     _mark(db.conn, 1)
 
 
@@ -110,7 +110,7 @@ def _steps(db: "Database") -> None:
     db.conn.execute("CREATE INDEX clocks_by_run ON clocks (run_id)")
     for seq, (run_id, first) in enumerate(db.conn.execute(_UNSTEPPED).fetchall(), 1):
         cells = (seq, run_id, run_id, None, first)
-        db.conn.execute(insert_sql("clocks"), (*cells, row_crc(cells)))
+        db.conn.execute(insert_sql("clocks"), with_crc(cells))
     for statement in STEPS:
         db.conn.execute(statement)
     _mark(db.conn, 5)
@@ -202,7 +202,7 @@ def _mark(connection: sqlite3.Connection, version: int) -> None:
     """Write the file's marks; they are part of the transaction like any row."""
     (seq,) = connection.execute("SELECT seq FROM meta WHERE key = 'schema_version'").fetchone()
     cells = (seq, "schema_version", str(version))
-    connection.execute(insert_sql("meta", "INSERT OR REPLACE"), (*cells, row_crc(cells)))
+    connection.execute(insert_sql("meta", "INSERT OR REPLACE"), with_crc(cells))
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {version_mark(version)}")
 

@@ -15,7 +15,8 @@ from typing import Any, Final, NamedTuple
 from agent.errors import StoreError
 from agent.storage.database.columns import COLUMN_BITS
 from agent.storage.database.connect import Reader, connect_reader, unreadable
-from agent.storage.read.proof import proven, row_of
+from agent.storage.read.proof import row_of
+from agent.storage.read.queries import view_rows
 
 Row = dict[str, Any]
 _BATCHES_A_CONNECTION: Final = 200
@@ -65,7 +66,7 @@ class Feed:
 
     def newest(self) -> list[Row]:
         """Return v_latest of all rigs. Raises StoreError."""
-        rows: list[Row] = self._asked(lambda reader: _rows(reader, "v_latest", "1 = 1", (), "e"))
+        rows: list[Row] = self._asked(lambda reader: view_rows(reader, "v_latest", "1 = 1", (), "e"))
         return [row for row in rows if self._parameters is None or row["parameter"] in self._parameters]
 
     def close(self) -> None:
@@ -120,13 +121,6 @@ def _head(reader: Reader, topic: str) -> int:
     return newest << COLUMN_BITS | _LAST_COLUMN if topic == "estimates" else newest
 
 
-def _rows(
-    reader: Reader, view: str, condition: str, values: Sequence[object], alias: str, first_hop: int = -(2**63)
-) -> list[Row]:
-    names, rows = proven(reader, view, condition, values, first_hop, numbered=alias)
-    return [dict(zip(names, cells, strict=True)) for cells in rows]
-
-
 def _estimates(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
     """Return rows of so many instants; the parts of a run are asked one by one, each by its time index."""
     bounds = (cursor >> COLUMN_BITS, until >> COLUMN_BITS, most)
@@ -143,7 +137,7 @@ def _estimates(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
     found = [
         row
         for run, times in stamps.items()
-        for row in _rows(
+        for row in view_rows(
             reader, "v_estimates", condition, (run, min(times), max(times), first, last), "e", first
         )
     ]
@@ -159,10 +153,12 @@ def _numbered(reader: Reader, topic: str, cursor: int, until: int, most: int) ->
 
 def _alarms(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
     last, more = _numbered(reader, "alarms", cursor, until, most)
-    steps = _rows(reader, "v_alarm_events", "id > ? AND id <= ? ORDER BY id", (cursor, last), "n")
+    steps = view_rows(reader, "v_alarm_events", "id > ? AND id <= ? ORDER BY id", (cursor, last), "n")
     numbers = ",".join(str(row["alarm_id"]) for row in steps)
     known = (
-        {row["id"]: row for row in _rows(reader, "v_alarms", f"id IN ({numbers})", (), "a")} if steps else {}
+        {row["id"]: row for row in view_rows(reader, "v_alarms", f"id IN ({numbers})", (), "a")}
+        if steps
+        else {}
     )
     rows = [_step(row, known[row["alarm_id"]]) for row in steps if row["alarm_id"] in known]
     return Chunk(rows, last, more)
@@ -174,14 +170,15 @@ def _step(row: Row, alarm: Mapping[str, Any]) -> Row:
 
 def _events(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
     last, more = _numbered(reader, "events", cursor, until, most)
-    return Chunk(_rows(reader, "v_events", "id > ? AND id <= ? ORDER BY id", (cursor, last), "n"), last, more)
+    found = view_rows(reader, "v_events", "id > ? AND id <= ? ORDER BY id", (cursor, last), "n")
+    return Chunk(found, last, more)
 
 
 def _health(reader: Reader, cursor: int, until: int, most: int) -> Chunk:
     last, more = _numbered(reader, "health", cursor, until, most)
     number = row_of("x")
     condition = f"{number} > ? AND {number} <= ? ORDER BY {number}"
-    return Chunk(_rows(reader, "v_health", condition, (cursor, last), "x"), last, more)
+    return Chunk(view_rows(reader, "v_health", condition, (cursor, last), "x"), last, more)
 
 
 def _seq(row: Row) -> int:

@@ -32,7 +32,8 @@ _INDEXED = {
 _WHOLE = ("overlaps", "alarms", "clocks", "annotations", "sites", "baselines")
 """Short tables that views look into for a row that may not be there."""
 _AT_ONCE = 20_000
-_FIRST, _LAST = -(2**63), 2**63 - 1
+FIRST, LAST = -(2**63), 2**63 - 1
+"""The ends of a stretch that is open: of stamps, ns, and of row numbers."""
 
 
 def proven(
@@ -40,7 +41,7 @@ def proven(
     view: str,
     condition: str,
     values: Sequence[object],
-    first_hop: int = _FIRST,
+    first_hop: int = FIRST,
     *,
     numbered: str = "",
 ) -> tuple[list[str], Iterator[Cells]]:
@@ -55,7 +56,7 @@ def proven(
         if re.search(rf"\b{table}\b", query):
             prove_whole(reader, table)
     for table in parts:
-        prove_listed(reader, table, first_hop if table == "hops" else _FIRST)
+        prove_listed(reader, table, first_hop if table == "hops" else FIRST)
     more = f", {row_of(numbered)} AS seq" if numbered else ""
     cursor = reader.execute(f"SELECT *{more} FROM ({query}) WHERE {condition}", tuple(values))
     once = "json_each" not in query  # a row of a table may make several of those
@@ -73,22 +74,22 @@ def prove_whole(reader: Reader, table: str) -> None:
     """Count the wrong rows of a short table, once; raises sqlite3.DatabaseError where its index omits one."""
     if table not in reader.whole:
         reader.whole.add(table)
-        reader.refuse(bad_rows(reader, table, _FIRST, _LAST))
+        reader.refuse(bad_rows(reader, table, FIRST, LAST))
         prove_listed(reader, table)
 
 
-def prove_listed(reader: Reader, table: str, first: int = _FIRST) -> None:
+def prove_listed(reader: Reader, table: str, first: int = FIRST) -> None:
     """See that the indexes of a table list its rows from a number on, once; raises sqlite3.DatabaseError.
 
     A row that none lists would not be shown, and an older one in its place. So would a row that an index
     lists and its page does not hold any more, which is looked for where all rows are asked for.
     """
-    if first >= reader.listed.get(table, _LAST):
+    if first >= reader.listed.get(table, LAST):
         return
     reader.listed[table] = first
     names = columns_of(table)
     for index, columns in _indexes(table):
-        if first == _FIRST and reader.execute(_NOT_HELD.format(table, index)).fetchone() is not None:
+        if first == FIRST and reader.execute(_NOT_HELD.format(table, index)).fetchone() is not None:
             raise damaged("an index lists what its table does not hold")
         same = " AND ".join(f"i.{name} = t.{name}" for name in (*columns, "seq"))
         query = f"""SELECT {", ".join(names)} FROM {table} t NOT INDEXED WHERE t.seq >= ? AND NOT EXISTS (
@@ -146,7 +147,7 @@ def prove_parts(reader: Reader, rig: str, parts: Sequence[Part]) -> None:
     )
     if any(wrong) or reader.refused > refused:
         raise damaged("a row that says when a run was has a wrong checksum")
-    prove_listed(reader, "hops", max((cells[0] for cells in edges), default=_FIRST))
+    prove_listed(reader, "hops", max((cells[0] for cells in edges), default=FIRST))
 
 
 _EDGE = (

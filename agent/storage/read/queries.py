@@ -9,10 +9,8 @@ from typing import Any
 from agent.errors import UsageError
 from agent.storage.database.connect import Reader
 from agent.storage.read.complete import oldest_hop, prove_count, prove_newest
-from agent.storage.read.proof import proven, row_of
+from agent.storage.read.proof import FIRST, LAST, proven, row_of
 from agent.storage.read.selection import (
-    FIRST,
-    LAST,
     Stretch,
     check_parameter,
     chosen_rigs,
@@ -62,7 +60,9 @@ def estimates(
             for stretch in stretches:
                 part, shift, first, last = stretch
                 refused = connection.refused
-                rows = _rows(connection, "v_estimates", own, (*values, part, first, last), first_hop)
+                rows = view_rows(
+                    connection, "v_estimates", own, (*values, part, first, last), first_hop=first_hop
+                )
                 prove_count(connection, stretch, rows, connection.refused - refused, parameter)
                 found += [(row["t_ns"] + shift, row) for row in rows]
         check_parameter(connection, rig, parameter)
@@ -89,7 +89,7 @@ def latest(db: Path | str, rig: str | None = None) -> Rows:
     """Return the newest row of each rig and parameter."""
     with reading(db) as connection:
         rigs = chosen_rigs(connection, rig)
-        rows = _rows(connection, "v_latest", *_where(rig=rig), LAST)
+        rows = view_rows(connection, "v_latest", *_where(rig=rig), first_hop=LAST)
         prove_newest(connection, rows, rigs)
         rows.refused = connection.refused
     return rows
@@ -102,20 +102,14 @@ def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows
         condition, values = _where(rig=rig)
         if active:
             condition += " AND state <> 'NORM'"
-        return _rows(connection, "v_alarms", f"{condition} ORDER BY id", values)
-
-
-def alarm_events(db: Path | str) -> Rows:
-    """Return rows of v_alarm_events, oldest first."""
-    with reading(db) as connection:
-        return _rows(connection, "v_alarm_events", "1 = 1 ORDER BY id", ())
+        return view_rows(connection, "v_alarms", f"{condition} ORDER BY id", values)
 
 
 def notifications(db: Path | str, state: str | None = None) -> Rows:
     """Return rows of v_notifications, oldest first; state: only those pending, done or dead."""
     with reading(db) as connection:
         condition, values = _where(state=state)
-        return _rows(connection, "v_notifications", f"{condition} ORDER BY id", values)
+        return view_rows(connection, "v_notifications", f"{condition} ORDER BY id", values)
 
 
 def health(db: Path | str, rig: str | None = None) -> Rows:
@@ -124,11 +118,11 @@ def health(db: Path | str, rig: str | None = None) -> Rows:
         chosen_rigs(connection, rig)
         newest: dict[tuple[str, str], dict[str, Any]] = {}
         condition, values = _where(rig=rig)
-        for row in _rows(connection, "v_health", f"{condition} ORDER BY {row_of('x')}", values):
+        for row in view_rows(connection, "v_health", f"{condition} ORDER BY {row_of('x')}", values):
             newest[row["rig"], row["source"]] = {**row, "reasons": {"rejected": {}, "dropped": {}}}
         for row in newest.values():
             condition, values = _where(rig=row["rig"], source=row["source"], t_ns=row["t_ns"])
-            for reason in _rows(connection, "v_health_reasons", condition, values):
+            for reason in view_rows(connection, "v_health_reasons", condition, values):
                 row["reasons"].setdefault(reason["kind"], {})[reason["reason"]] = reason["count"]
         found = Rows(newest.values())
         found.refused = connection.refused
@@ -159,7 +153,7 @@ def forecasts(
         condition, values = _where(rig=rig, parameter=parameter)
         if waiting:
             condition += " AND scored_at IS NULL"
-        return _rows(connection, "v_forecast", f"{condition} ORDER BY id", values)
+        return view_rows(connection, "v_forecast", f"{condition} ORDER BY id", values)
 
 
 def event_records(db: Path | str, rig: str | None = None) -> Rows:
@@ -177,7 +171,7 @@ def _of_rig(db: Path | str, rig: str | None, view: str, order: str) -> Rows:
     with reading(db) as connection:
         chosen_rigs(connection, rig)
         condition, values = _where(rig=rig)
-        return _rows(connection, view, f"{condition} ORDER BY {order}", values)
+        return view_rows(connection, view, f"{condition} ORDER BY {order}", values)
 
 
 def rigs(db: Path | str) -> list[str]:
@@ -199,10 +193,16 @@ def _where(**wanted: object) -> tuple[str, tuple[object, ...]]:
     return " AND ".join(["1 = 1", *(f"{name} = ?" for name in known)]), tuple(known.values())
 
 
-def _rows(
-    connection: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = FIRST
+def view_rows(
+    connection: Reader,
+    view: str,
+    condition: str,
+    values: Sequence[object],
+    numbered: str = "",
+    first_hop: int = FIRST,
 ) -> Rows:
-    names, rows = proven(connection, view, condition, values, first_hop)
+    """Return the rows of a view under a condition that prove themselves; arguments as of `proven`."""
+    names, rows = proven(connection, view, condition, values, first_hop, numbered=numbered)
     found = Rows(dict(zip(names, cells, strict=True)) for cells in rows)
     found.refused = connection.refused
     return found

@@ -2,18 +2,17 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from agent.storage.database.connect import Reader
-from agent.storage.read.proof import prove_listed, proven, row_of
-from agent.storage.read.queries import Rows
+from agent.storage.read.proof import FIRST, prove_listed, row_of
+from agent.storage.read.queries import Rows, view_rows
 from agent.storage.read.selection import reading
 
 Row = dict[str, Any]
-_FIRST = -(2**63)
 _HEALTH_ROWS = 400  # the newest rows of health that are looked through for sources: a row of each every 10 s
 
 
@@ -71,10 +70,10 @@ def changes(db: Path | str, after: Cursor, most: int = 200) -> tuple[list[Change
 def alarm_events(db: Path | str, rig: str | None = None) -> Rows:
     """Return rows of v_alarm_events with the rig of each, oldest first. Raises StoreError."""
     with reading(db) as reader:
-        alarms = {row["id"]: row for row in _rows(reader, "v_alarms", "1 = 1", ())}
+        alarms = {row["id"]: row for row in view_rows(reader, "v_alarms", "1 = 1", ())}
         found = Rows(
             {"rig": alarms[row["alarm_id"]]["rig"], **row}
-            for row in _rows(reader, "v_alarm_events", "1 = 1 ORDER BY id", ())
+            for row in view_rows(reader, "v_alarm_events", "1 = 1 ORDER BY id", ())
             if row["alarm_id"] in alarms and rig in {None, alarms[row["alarm_id"]]["rig"]}
         )
         found.refused = reader.refused
@@ -103,10 +102,10 @@ def sources(db: Path | str) -> Rows:
     with reading(db) as reader:
         tail = _highest(reader, "health") - _HEALTH_ROWS
         prove_listed(reader, "health", tail)
-        reader.listed["health"] = _FIRST  # older rows are not asked for, so their index need not be compared
+        reader.listed["health"] = FIRST  # older rows are not asked for, so their index need not be compared
         condition = f"{row_of('x')} > ? ORDER BY {row_of('x')}"
         newest_rows: dict[tuple[str, str], Row] = {}
-        for row in _rows(reader, "v_health", condition, (tail,)):
+        for row in view_rows(reader, "v_health", condition, (tail,)):
             key = row["rig"], row["source"]
             newest_rows[key] = {**row, "rate_hz": _rate(newest_rows.get(key), row)}
         found = Rows(newest_rows.values())
@@ -124,11 +123,11 @@ def _rate(before: Row | None, row: Row) -> float | None:
 
 def _steps(reader: Reader, after: Cursor, most: int) -> tuple[list[Change], int]:
     last = _reached(reader, "alarm_events", after.alarms, most)
-    rows = _rows(reader, "v_alarm_events", "id > ? AND id <= ? ORDER BY id", (after.alarms, last))
+    rows = view_rows(reader, "v_alarm_events", "id > ? AND id <= ? ORDER BY id", (after.alarms, last))
     if not rows:
         return [], last
     numbers = ",".join(str(row["alarm_id"]) for row in rows)
-    alarms = {row["id"]: row for row in _rows(reader, "v_alarms", f"id IN ({numbers})", ())}
+    alarms = {row["id"]: row for row in view_rows(reader, "v_alarms", f"id IN ({numbers})", ())}
     found = [
         Change("alarm", after._replace(alarms=row["id"]), {**row, "alarm": alarms[row["alarm_id"]]})
         for row in rows
@@ -165,17 +164,10 @@ def _rows_of_run(
     condition = f"{row_of('r')} = ? AND span_s = 0 AND t_ns BETWEEN ? AND ?"
     bounds = (run, min(instants), max(instants))
     found: dict[int, list[Row]] = {}
-    for row in _rows(reader, "v_estimates", condition, bounds, first):
+    for row in view_rows(reader, "v_estimates", condition, bounds, first_hop=first):
         if row["t_ns"] in instants:
             found.setdefault(instants[row["t_ns"]], []).append(row)
     return list(found.items())
-
-
-def _rows(
-    reader: Reader, view: str, condition: str, values: Sequence[object], first_hop: int = _FIRST
-) -> list[Row]:
-    names, rows = proven(reader, view, condition, values, first_hop)
-    return [dict(zip(names, cells, strict=True)) for cells in rows]
 
 
 def _highest(reader: Reader, table: str) -> int:

@@ -9,13 +9,11 @@ from typing import NamedTuple
 
 from agent.errors import Fault, UsageError
 from agent.storage.database.connect import Reader, connect_reader, unreadable
-from agent.storage.read.proof import prove_names, prove_parts
+from agent.storage.read.proof import FIRST, LAST, prove_names, prove_parts
 from agent.storage.read.times import age_ns, parse_time
 from agent.storage.tables.ages import newest_of, parts_of, shifts
 
 log = logging.getLogger(__name__)
-FIRST, LAST = -(2**63), 2**63 - 1
-"""The ends of a stretch that is open, ns."""
 
 
 class Stretch(NamedTuple):

@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import quote
 
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import with_crc
 from agent.storage.database.columns import COLUMN_BITS, TABLES, columns_of, insert_sql
 from agent.storage.database.connect import build, empty_log
-from agent.storage.database.files import beside, make_alike, sync_folder
+from agent.storage.database.files import beside, make_alike, remove_database, sync_folder
 from agent.storage.database.verify import good_rows
 from agent.storage.recovery.loss_estimate import REPORTED, LossEstimate
 from agent.storage.recovery.page_carving import scan
@@ -25,7 +25,6 @@ _MOST_FAILURES = {
 }  # halvings a long or short table; a sick root would take for ever, and pages are scanned after
 _LEAP = 100_000  # numbers skipped after a loss, so that none is given out twice
 _KEPT_ASIDE = 3  # damaged files kept; a sick flash must not fill itself with them
-_ENTRIES = ("", "-wal", "-shm", "-journal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ def finish_interrupted(path: Path) -> Path | None:
 
     A log without its database is what somebody left who removed that: it is put aside, and no damage.
     """
-    _remove(beside(path, ".salvaging"))
+    remove_database(beside(path, ".salvaging"))
     salvaged = beside(path, ".salvaged")
     if salvaged.exists():
         return _exchange(path, salvaged)
@@ -77,7 +76,7 @@ def recover(path: Path, cause: str, highs: Mapping[str, int] | None = None) -> R
     highs: the highest numbers known to have been given out, by table.
     """
     fresh = beside(path, ".salvaging")
-    _remove(fresh)
+    remove_database(fresh)
     build(fresh)
     saved, lost, unread = _copy_rows(path, fresh, highs or {})
     if path.exists():
@@ -122,11 +121,6 @@ def _free_name(path: Path) -> Path:
         number += 1
 
 
-def _remove(path: Path) -> None:
-    for suffix in _ENTRIES:
-        beside(path, suffix).unlink(missing_ok=True)
-
-
 def _copy_rows(damaged: Path, fresh: Path, highs: Mapping[str, int]) -> tuple[int, int, bool]:
     """Copy every row that can be read and whose checksum is right.
 
@@ -136,7 +130,7 @@ def _copy_rows(damaged: Path, fresh: Path, highs: Mapping[str, int]) -> tuple[in
         target.execute("PRAGMA synchronous = FULL")
         loss = _copy_by_trees(damaged, target)
         for table, rows in scan(damaged, beside(damaged, "-wal")):
-            _insert(target, table, rows, "INSERT OR IGNORE")
+            _insert(target, table, rows)
         _drop_orphans(target)
         lost = loss.count(target, highs)
         _complete(target, highs)
@@ -169,7 +163,7 @@ def _copy_tree(source: sqlite3.Connection, target: sqlite3.Connection, table: st
         right = good_rows(table, rows)
         loss.note(table, (row[0] for row, fine in zip(rows, right, strict=True) if not fine))
         good = [row for row, fine in zip(rows, right, strict=True) if fine]
-        _insert(target, table, good, "INSERT OR IGNORE")
+        _insert(target, table, good)
     return tree.failures
 
 
@@ -242,9 +236,9 @@ def _newest(source: sqlite3.Connection, table: str) -> int:
     return 1 << (44 if table in _LONG else 34)
 
 
-def _insert(target: sqlite3.Connection, table: str, rows: list[Row], verb: str) -> None:
-    """Insert rows; one that the table refuses is left out."""
-    statement = insert_sql(table, verb)
+def _insert(target: sqlite3.Connection, table: str, rows: list[Row]) -> None:
+    """Insert rows; one that is there, or that the table refuses, is left out."""
+    statement = insert_sql(table, "INSERT OR IGNORE")
     target.execute("BEGIN IMMEDIATE")
     try:
         target.executemany(statement, rows)
@@ -295,10 +289,10 @@ def _complete(target: sqlite3.Connection, highs: Mapping[str, int]) -> None:
     """Write again what can be derived, and see that no number is given out twice."""
     for code, texts in VERDICTS.items():
         cells = (code, *texts)
-        target.execute(insert_sql("verdicts", "INSERT OR REPLACE"), (*cells, row_crc(cells)))
+        target.execute(insert_sql("verdicts", "INSERT OR REPLACE"), with_crc(cells))
     high = dict(target.execute("SELECT name, high FROM sequences"))
     target.execute("DELETE FROM sequences")
     for number, table in enumerate(TABLES, 1):
         newest = target.execute(f"SELECT max(seq) FROM {table}").fetchone()[0] or 0  # noqa: S608 - own name
         cells = (number, table, max(newest, high.get(table, 0), highs.get(table, 0)) + _LEAP)
-        target.execute(insert_sql("sequences"), (*cells, row_crc(cells)))
+        target.execute(insert_sql("sequences"), with_crc(cells))

@@ -1,7 +1,6 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Alarm rows: one an activation, updated by the transitions of its life, each kept as an event."""
 
-import math
 import sqlite3
 from dataclasses import dataclass, replace
 from typing import get_args
@@ -10,7 +9,7 @@ from agent.alarms.life_cycle import STATES, SUPPRESSED, Alarm, cause_of, is_need
 from agent.storage.database.checksum import Cell
 from agent.storage.database.columns import columns_of
 from agent.storage.tables.notifications import Outbox
-from agent.storage.tables.rows import Numbers, Plan
+from agent.storage.tables.rows import Numbers, Plan, finite
 from agent.types import AlarmKind, AlarmState, AlarmTransition
 
 _CLEAR = frozenset({"NORM", "RTNUN"})
@@ -136,11 +135,7 @@ def _annotate(plan: Plan, row: AlarmRow, step: AlarmTransition, numbers: Numbers
 
 def _figures(step: AlarmTransition) -> tuple[float | None, float | None, float | None, float | None]:
     """Return delta, sd, limit and probability of a step; None where they are no numbers (NaN, inf)."""
-    return _finite(step.delta), _finite(step.sd), _finite(step.limit_value), _finite(step.probability)
-
-
-def _finite(figure: float | None) -> float | None:
-    return None if figure is None or not math.isfinite(figure) else float(figure)
+    return finite(step.delta), finite(step.sd), finite(step.limit_value), finite(step.probability)
 
 
 def _after(row: AlarmRow, step: AlarmTransition) -> AlarmRow:

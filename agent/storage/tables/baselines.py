@@ -1,12 +1,12 @@
-"""Baselines as rows: those of a rig that stand, one a parameter, and the graph of each run's rows."""
+"""Baselines as rows: those of a rig that stand, one a parameter."""
 
 import sqlite3
 from collections.abc import Sequence
 from dataclasses import replace
 
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import checked
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.types import Baseline, RunInfo
+from agent.types import Baseline
 
 _OF_RIG = """SELECT b.seq, b.rig_id, b.parameter, b.unit, b.graph, b.reference, b.sd, b.spread_sd,
  b.within_sd,
@@ -38,15 +38,9 @@ def plan_of(baselines: Sequence[Baseline], names: Names, numbers: Numbers) -> tu
 def standing_baselines(connection: sqlite3.Connection, rig: str) -> tuple[Baseline, ...]:
     """Return the newest baseline of each parameter of a rig; a damaged row is passed over."""
     found: dict[str, Baseline] = {}
-    for *cells, crc in connection.execute(_OF_RIG, (rig,)):
-        if row_crc(cells) == crc:
+    for cells in map(checked, connection.execute(_OF_RIG, (rig,))):
+        if cells is not None:
             number, _, *facts = cells
             one = Baseline(rig, *facts)
             found[one.parameter] = replace(one, baseline_id=number)
     return tuple(found.values())
-
-
-def add_graph(plan: Plan, run_id: int, run: RunInfo, numbers: Numbers) -> None:
-    """Add which graph the rows of a run are of, where that is known."""
-    if run.graph is not None:
-        plan.sealed("graphs", numbers.take("graphs"), run_id, run.graph)

@@ -1,18 +1,12 @@
-"""Taking, joining and grouping estimate batches as whole arrays; no row is touched one by one."""
+"""Joining and grouping estimate batches as whole arrays; no row is touched one by one."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.types import PER_HOP, EstimateBatch
-
-
-def take(batch: EstimateBatch, rows: NDArray[Any]) -> EstimateBatch:
-    """Return the rows that a mask or an index array names."""
-    return batch.part(rows)
 
 
 def join(batches: Sequence[EstimateBatch]) -> EstimateBatch:

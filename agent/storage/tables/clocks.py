@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.clock import STEP_NS
-from agent.storage.tables.batches import take
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.types import ClockRecord, EstimateBatch, RunInfo
 
@@ -68,7 +67,7 @@ class ClockRows:
             return
         number = np.searchsorted([first for first, _ in self._anchors], batch.index, side="right") - 1
         for one in np.unique(number):
-            yield self._anchors[one][1], take(batch, number == one)
+            yield self._anchors[one][1], batch.part(number == one)
 
     @property
     def newest(self) -> int:
@@ -84,10 +83,14 @@ class ClockRows:
     def _begin(self, plan: Plan, part: _Part, from_ns: int, numbers: Numbers) -> None:
         self._begun.add(part.seq)
         if part.seq != self._run_id:
-            run = self.run
-            facts = (run.kind, from_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
-            plan.sealed("runs", part.seq, self._rig_id, *facts, None, None)
+            add_run(plan, part.seq, self._rig_id, self.run, from_ns)
         plan.sealed("clocks", numbers.take("clocks"), part.seq, self._run_id, part.offset_ns, from_ns)
+
+
+def add_run(plan: Plan, seq: int, rig_id: int, run: RunInfo, from_ns: int) -> None:
+    """Add the row of a run, or of a part of one, whose first stamp is from_ns."""
+    facts = (run.kind, from_ns, run.code_version, run.config_sha256, run.baseline_id, run.boot_id)
+    plan.sealed("runs", seq, rig_id, *facts, None, None)
 
 
 def _same(one: int | None, other: int) -> bool:

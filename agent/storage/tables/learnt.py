@@ -3,7 +3,7 @@
 import json
 import sqlite3
 
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import checked
 from agent.storage.tables.rows import Numbers, Plan
 from agent.types import LearntRecord
 
@@ -32,8 +32,8 @@ def newest_learnt(connection: sqlite3.Connection, rig: str, kind: str, key: str)
 
     Whatever version of the code wrote it: the content says so itself. A damaged row is passed over.
     """
-    for *cells, crc in connection.execute(_NEWEST, (rig, kind, key)):
-        if row_crc(cells) == crc and _is_json(content := str(cells[-1])):
+    for cells in map(checked, connection.execute(_NEWEST, (rig, kind, key))):
+        if cells is not None and _is_json(content := str(cells[-1])):
             return content
     return None
 

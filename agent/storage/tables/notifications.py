@@ -4,9 +4,9 @@
 import sqlite3
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import checked
 from agent.storage.database.columns import columns_of
 from agent.storage.tables.rows import Numbers, Plan
 from agent.types import AlarmTransition
@@ -72,7 +72,6 @@ def pending(connection: sqlite3.Connection, target: str, most: int) -> list[Noti
     return [row for row in found if row is not None]
 
 
-def _proven(cells: tuple[object, ...] | None) -> NotificationRow | None:
-    if cells is None or row_crc(cells[:-1]) != cells[-1]:  # type: ignore[arg-type]  # as SQLite gives them
-        return None
-    return NotificationRow(*cells[:-1])  # type: ignore[arg-type]  # a right checksum: cells of this very table
+def _proven(row: tuple[Any, ...] | None) -> NotificationRow | None:
+    cells = checked(row)
+    return None if cells is None else NotificationRow(*cells)

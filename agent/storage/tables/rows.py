@@ -1,12 +1,13 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """Rows on their way into the file: growing numbers, names by number, and the plan of one transaction."""
 
+import math
 import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from agent.storage.database.checksum import Cell, row_crc
+from agent.storage.database.checksum import Cell, with_crc
 from agent.storage.database.columns import TABLES
 from agent.types import Reason, Status
 
@@ -36,7 +37,7 @@ class Plan:
 
     def sealed(self, table: str, *cells: Cell) -> None:
         """Add one row of mixed types with its checksum."""
-        self.add(table, (*cells, row_crc(cells)))
+        self.add(table, with_crc(cells))
 
 
 class Numbers:
@@ -139,6 +140,11 @@ class Names:
         for code in sorted(codes - self._verdicts):
             self._verdicts.add(code)
             self.fresh.sealed("verdicts", code, *VERDICTS[code])
+
+
+def finite(figure: float | None) -> float | None:
+    """Return a figure as a cell: None, which is NULL, where it is no number."""
+    return None if figure is None or not math.isfinite(figure) else float(figure)
 
 
 def student_95(dof: float | None) -> float | None:

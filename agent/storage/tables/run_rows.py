@@ -1,15 +1,17 @@
 """Records as rows: what the rows of each open run need to know of the file, and of the rows before them."""
 
+import json
 import logging
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from agent.storage.tables.ages import jump_words
 from agent.storage.tables.alarms import AlarmRow, AlarmRows
-from agent.storage.tables.batches import joined_runs, take
-from agent.storage.tables.clocks import ClockRows
+from agent.storage.tables.batches import joined_runs
+from agent.storage.tables.clocks import ClockRows, add_run
 from agent.storage.tables.coverage import Coverage
 from agent.storage.tables.estimates import add_estimates
 from agent.storage.tables.event_records import EventRecordRows
@@ -71,7 +73,7 @@ class RunRows:
         return run_id in self._alarms
 
     def open(self, run_id: int, run: RunInfo, alarms: AlarmRows) -> None:
-        """Begin the books of a run; after the file was replaced its clock is as it was."""
+        """Begin a run; after the file was replaced its clock is as it was."""
         self._alarms[run_id] = alarms
         self._clocks[run_id] = ClockRows(run_id, self._names.rig(run.rig), run)
         self._covered(run_id, run_id, run.rig)
@@ -146,34 +148,33 @@ class RunRows:
             self._alarms[run_id].apply(plan, record, self._numbers)
         elif isinstance(record, Health):
             self._health.apply(plan, record, self._clocks[run_id].newest, self._numbers)
-        elif isinstance(record, HealthEvent | Verdict | CovariateMean | ConditionsRecord | TrendRecord):
-            self._add_row(plan, run_id, record)
         elif isinstance(record, LearntRecord):
             self._learnt.apply(plan, record, run_id, self._numbers)
-        elif isinstance(record, ForecastRecord):
-            add_forecast(plan, record, run_id, self._numbers)
         elif isinstance(record, ForecastScore):
             add_score(plan, record, self._connection())
         elif isinstance(record, EventRecord):
             self._records.apply(plan, record, run_id, self._numbers, self._connection())
+        elif type(record) in _ADDERS:
+            _ADDERS[type(record)](plan, record, run_id, self._numbers)
 
-    def _add_row(
-        self,
-        plan: Plan,
-        run_id: int,
-        record: HealthEvent | Verdict | CovariateMean | ConditionsRecord | TrendRecord,
-    ) -> None:
-        """Add what is one row of a table and depends on none that was stored before."""
-        if isinstance(record, HealthEvent):
-            add_event(plan, record, run_id, self._numbers)
-        elif isinstance(record, Verdict):
-            add_verdict(plan, record, run_id, self._numbers)
-        elif isinstance(record, CovariateMean):
-            add_mean(plan, record, run_id, self._numbers)
-        elif isinstance(record, TrendRecord):
-            add_trend(plan, record, run_id, self._numbers)
-        else:
-            add_conditions(plan, record, run_id, self._numbers)
+
+_ADDERS: Mapping[type, Callable[[Plan, Any, int, Numbers], None]] = {
+    HealthEvent: add_event, Verdict: add_verdict, CovariateMean: add_mean, TrendRecord: add_trend,
+    ConditionsRecord: add_conditions, ForecastRecord: add_forecast,
+}  # fmt: skip
+"""What adds a record that is one row of a table and depends on none that was stored before."""
+
+
+def run_plan(run_id: int, run: RunInfo, names: Names, numbers: Numbers) -> Plan:
+    """Return the rows of a run that begins: what it is, where its machine stands, the graph of its model."""
+    plan = Plan()
+    add_run(plan, run_id, names.rig(run.rig), run, run.started_ns)
+    if run.site or run.labels:
+        labels = json.dumps(dict(run.labels), ensure_ascii=False) if run.labels else None
+        plan.sealed("sites", numbers.take("sites"), run_id, run.site, labels)
+    if run.graph is not None:
+        plan.sealed("graphs", numbers.take("graphs"), run_id, run.graph)
+    return plan
 
 
 def _pieces(records: Sequence[Record]) -> list[EstimateBatch]:
@@ -185,7 +186,5 @@ def _pieces(records: Sequence[Record]) -> list[EstimateBatch]:
         if len(batch) <= hops:
             pieces.append(batch)
             continue
-        pieces.extend(
-            take(batch, np.arange(i, min(i + hops, len(batch)))) for i in range(0, len(batch), hops)
-        )
+        pieces.extend(batch.part(np.arange(i, min(i + hops, len(batch)))) for i in range(0, len(batch), hops))
     return pieces

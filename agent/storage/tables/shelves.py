@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from agent.clock import boot_id, monotonic_ns, wall_ns
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import checked
 from agent.storage.database.columns import columns_of
 from agent.storage.tables.ages import newest_of, parts_of, shifts
 from agent.storage.tables.rows import Numbers, Plan
@@ -55,10 +55,8 @@ def shelf_of(connection: sqlite3.Connection, alarm_id: int) -> Shelf | None:
     query = (
         f"SELECT {', '.join(columns_of('shelves'))} FROM shelves WHERE alarm_id = ? ORDER BY seq DESC LIMIT 1"  # noqa: S608 - own names
     )
-    row = connection.execute(query, (alarm_id,)).fetchone()
-    if row is None or row_crc(row[:-1]) != row[-1]:
-        return None
-    return Shelf(*row[1:-1])
+    cells = checked(connection.execute(query, (alarm_id,)).fetchone())
+    return None if cells is None else Shelf(*cells[1:])
 
 
 def left_ns(connection: sqlite3.Connection, rig: str, shelf: Shelf, now: Moment) -> int:

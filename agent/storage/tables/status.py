@@ -1,11 +1,10 @@
 """Health, event, verdict and condition rows: ledgers, what happened once, constants, windows of the paper."""
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from agent.storage.tables.rows import Numbers, Plan
+from agent.storage.tables.rows import Numbers, Plan, finite
 from agent.types import ConditionsRecord, CovariateMean, Health, HealthEvent, SourceClock, Verdict
 
 
@@ -28,8 +27,8 @@ class HealthRows:
             sum(record.dropped.values()),
             record.gaps,
         )
-        lag = None if record.lag_s is None or record.lag_s - record.lag_s != 0 else float(record.lag_s)
-        cells = (record.source, record.t_ns, *(int(n) for n in sums), lag, _reasons(record))
+        counts = (int(n) for n in sums)
+        cells = (record.source, record.t_ns, *counts, finite(record.lag_s), _reasons(record))
         plan.sealed("health", self._seq(record, run_id, numbers), run_id, *cells)
 
     def _seq(self, record: Health, run_id: int, numbers: Numbers) -> int:
@@ -69,9 +68,7 @@ def add_event(plan: Plan, record: HealthEvent, run_id: int, numbers: Numbers) ->
 
 def add_verdict(plan: Plan, record: Verdict, run_id: int, numbers: Numbers) -> None:
     """Add what is believed of a constant of the rig; what is no number is stored as NULL."""
-    size, sd, probability = (
-        float(x) if math.isfinite(x) else None for x in (record.size, record.sd, record.probability)
-    )
+    size, sd, probability = map(finite, (record.size, record.sd, record.probability))
     seq = numbers.take("hypotheses")
     plan.sealed("hypotheses", seq, run_id, record.t_ns, record.hypothesis, size, sd, record.unit, probability)
 
@@ -79,18 +76,13 @@ def add_verdict(plan: Plan, record: Verdict, run_id: int, numbers: Numbers) -> N
 def add_conditions(plan: Plan, record: ConditionsRecord, run_id: int, numbers: Numbers) -> None:
     """Add what the conditions say of a window; what is no number is stored as NULL."""
     found = record.found
-    trail = json.dumps([dict(zip(record.parameters, map(_number, row), strict=True)) for row in found.trail])
-    ratio = None if found.ratio is None else _number(found.ratio)
+    trail = json.dumps([dict(zip(record.parameters, map(finite, row), strict=True)) for row in found.trail])
     plan.sealed(
-        "conditions", numbers.take("conditions"), run_id, record.t_ns, record.window_s, _number(found.defect),
-        _number(found.defect_outputs), found.rank, found.rank_joined, _number(found.defect_special),
-        int(found.z_zero), found.iterations, int(found.converged), _number(found.cost), _number(found.step),
-        found.passes, ratio, trail,
+        "conditions", numbers.take("conditions"), run_id, record.t_ns, record.window_s, finite(found.defect),
+        finite(found.defect_outputs), found.rank, found.rank_joined, finite(found.defect_special),
+        int(found.z_zero), found.iterations, int(found.converged), finite(found.cost), finite(found.step),
+        found.passes, finite(found.ratio), trail,
     )  # fmt: skip
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def add_mean(plan: Plan, mean: CovariateMean, run_id: int, numbers: Numbers) -> None:

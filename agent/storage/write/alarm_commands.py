@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from agent.alarms.life_cycle import COMMANDS, Alarm, Cause
 from agent.errors import Fault, StoreError
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import checked
 from agent.storage.database.columns import columns_of
 from agent.storage.tables.alarms import AlarmRow, alarm_of, event_cells, kind_of
 from agent.storage.tables.rows import Plan
@@ -169,6 +169,11 @@ def carry_out(store: Store, request: Request, now: Moment) -> list[Taken]:
     return [*over, *taken]
 
 
+def documents(steps: Sequence[Taken], request: Request) -> list[dict[str, Any]]:
+    """Return the steps that were asked for, without shelves that were over, as JSON carries them."""
+    return [taken.document() for taken in steps if taken.step.cause == request.cause]
+
+
 def expire_shelves(store: Store, now: Moment) -> list[Taken]:
     """End the shelves of open runs whose time is over; return the steps once they are committed."""
     found = [find(store, row.seq) for row in store.open_runs.standing() if row.state == "SHLVD"]
@@ -207,8 +212,8 @@ _NEWEST = (
 
 def _stored(connection: sqlite3.Connection, seq: int) -> AlarmRow | None:
     query = f"SELECT {', '.join(columns_of('alarms'))} FROM alarms WHERE seq = ?"
-    cells = connection.execute(query, (seq,)).fetchone()
-    return None if cells is None or row_crc(cells[:-1]) != cells[-1] else AlarmRow(*cells[:-1])
+    cells = checked(connection.execute(query, (seq,)).fetchone())
+    return None if cells is None else AlarmRow(*cells)
 
 
 def _expired(store: Store, found: Found, now: Moment) -> Taken | None:

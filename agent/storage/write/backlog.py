@@ -7,7 +7,7 @@ from math import ceil
 
 import numpy as np
 
-from agent.storage.tables.batches import joined_runs, take
+from agent.storage.tables.batches import joined_runs
 from agent.types import AlarmTransition, ClockRecord, EstimateBatch, Record
 
 SHORTEST_S, LONGEST_S = 0.2, 5.0
@@ -75,7 +75,7 @@ class Backlog:
             else ceil((self._cells - self._most) * len(record) / gone)
         )
         if isinstance(record, EstimateBatch) and many < len(record):
-            self._records[place] = take(record, np.arange(many, len(record)))
+            self._records[place] = record.part(np.arange(many, len(record)))
             gone -= cells_of(self._records[place])
         else:
             del self._records[place]

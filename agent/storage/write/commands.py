@@ -9,7 +9,7 @@ from agent.errors import StoreError
 from agent.storage.database.verify import problems
 from agent.storage.recovery.salvage import Recovery
 from agent.storage.tables.shelves import moment
-from agent.storage.write.alarm_commands import Request, carry_out
+from agent.storage.write.alarm_commands import Request, carry_out, documents
 from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.jobs import JobQueue
 from agent.storage.write.notifications import resend
@@ -47,7 +47,7 @@ def serve(path: Path, jobs: JobQueue, listeners: Listeners, handlers: Mapping[st
             steps = carry_out(store, request, moment())
             for found in steps:
                 listeners.alarm(found.step)
-            return [found.document() for found in steps if found.step.cause == request.cause]
+            return documents(steps, request)
 
         return {"alarms": jobs.ask(act)}
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.storage.tables.batches import header_of, join, take
+from agent.storage.tables.batches import header_of, join
 from agent.types import AlarmTransition, EstimateBatch, IntArray, Record
 
 BEFORE_S = 10.0
@@ -67,7 +67,7 @@ class Thinner:
         t_ns = self._held.t_ns
         keep = self._near_alarm(t_ns) | self._newest_of_period(t_ns, last)
         fresh = keep & ~self._passed
-        out = [take(self._held, fresh)] if fresh.any() else []
+        out = [self._held.part(fresh)] if fresh.any() else []
         self._passed |= keep
         self._forget(t_ns)
         return out
@@ -92,5 +92,5 @@ class Thinner:
         # rows that are later than the newest one are of before the clock was set back
         stay = (t_ns >= newest - round(BEFORE_S * 1e9)) & (t_ns <= newest)
         stay[-1] = True
-        self._held, self._passed = take(self._held, stay), self._passed[stay]
+        self._held, self._passed = self._held.part(stay), self._passed[stay]
         self._transitions = [m for m in self._transitions if m + round(AFTER_S * 1e9) >= newest]

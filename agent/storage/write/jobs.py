@@ -12,15 +12,10 @@ Job = Callable[[Store], Any]
 
 
 class JobQueue:
-    """A queue of errands; each asker waits for its own.
+    """A queue of jobs; each caller waits for its own. wake: called when one has come."""
 
-    Args:
-        place: what the errors of refused errands name.
-        wake: called when one has come.
-    """
-
-    def __init__(self, place: str, wake: Callable[[], None]) -> None:
-        self._place, self._wake = place, wake
+    def __init__(self, wake: Callable[[], None]) -> None:
+        self._wake = wake
         self._waiting: SimpleQueue[tuple[Job, Future[Any]]] = SimpleQueue()
         self._over = False
 
@@ -51,7 +46,7 @@ class JobQueue:
     def refuse(self, message: str, advice: str) -> None:
         """Tell everybody who waits that it cannot be done."""
         for _, answer in self._taken():
-            answer.set_exception(StoreError.at(self._place, message, advice))
+            answer.set_exception(StoreError.at("its agent", message, advice))
 
     def end(self) -> None:
         """Refuse what waits, and what may still come."""

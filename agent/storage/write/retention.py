@@ -12,7 +12,7 @@ from math import ceil, isfinite
 from typing import Protocol
 
 from agent.storage.covariates.rows import thin
-from agent.storage.database.checksum import row_crc
+from agent.storage.database.checksum import row_crc, with_crc
 from agent.storage.database.columns import COLUMN_BITS, TABLES, columns_of
 from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.tables.ages import Part, parts_of, shifts
@@ -319,9 +319,7 @@ class TierKeeper:
             connection.execute("UPDATE runs SET crc = ? WHERE seq = ?", (row_crc(cells), run_id))
         for table in ("hops", "health"):
             cells = (list(TABLES).index(table) + 1, table, self._store.numbers.high(table))
-            connection.execute(
-                "INSERT OR REPLACE INTO sequences VALUES (?, ?, ?, ?)", (*cells, row_crc(cells))
-            )
+            connection.execute("INSERT OR REPLACE INTO sequences VALUES (?, ?, ?, ?)", with_crc(cells))
 
 
 def _edge(connection: sqlite3.Connection, run_id: int, span: int, order: str) -> int | None:

@@ -11,8 +11,8 @@ from contextlib import closing
 from pathlib import Path
 
 from agent.storage.database.columns import TABLES, columns_of, insert_sql
-from agent.storage.database.connect import build, connect_writer
-from agent.storage.database.files import beside, sync_folder
+from agent.storage.database.connect import build, connect_writer, transaction
+from agent.storage.database.files import beside, remove_database, sync_folder
 from agent.storage.database.verify import good_rows
 
 _ROWS_A_COMMIT = 20_000
@@ -28,7 +28,7 @@ def open_spill(path: Path) -> sqlite3.Connection:
     side = spill_path(path)
     if not side.exists():
         fresh = beside(path, ".spilling")
-        _remove(fresh)
+        remove_database(fresh)
         build(fresh)
         fresh.rename(side)
     connection = connect_writer(side)
@@ -56,7 +56,7 @@ def merge(path: Path, target: sqlite3.Connection) -> int:
     with closing(connect_writer(side)) as source:
         for table in TABLES:
             moved += _move(source, target, table)
-    _remove(side)
+    remove_database(side)
     sync_folder(path.parent)
     return moved
 
@@ -69,18 +69,8 @@ def _move(source: sqlite3.Connection, target: sqlite3.Connection, table: str) ->
     moved = 0
     while rows := cursor.fetchmany(_ROWS_A_COMMIT):
         sound = [row for row, right in zip(rows, good_rows(table, rows), strict=True) if right]
-        target.execute("BEGIN IMMEDIATE")
-        try:
+        with transaction(target):
             target.executemany(insert_sql(table, "INSERT OR REPLACE"), sound)
-            target.execute("COMMIT")
-        except BaseException:
-            target.execute("ROLLBACK")
-            raise
         target.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
         moved += len(sound)
     return moved
-
-
-def _remove(path: Path) -> None:
-    for suffix in ("-wal", "-shm", "-journal", ""):
-        beside(path, suffix).unlink(missing_ok=True)

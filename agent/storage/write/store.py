@@ -1,6 +1,5 @@
 """The single writer of the database: what `write` returned from is on the disk, whatever happens next."""
 
-import json
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +10,6 @@ from typing import Self
 
 from agent.errors import StoreError
 from agent.storage.covariates.rows import newest_means
-from agent.storage.database.checksum import row_crc
 from agent.storage.database.columns import insert_rows
 from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.database.connect import (
@@ -23,6 +21,7 @@ from agent.storage.database.connect import (
     create,
     is_damage,
     may_pass,
+    transaction,
 )
 from agent.storage.database.files import (
     Ballast,
@@ -41,11 +40,11 @@ from agent.storage.database.schema import upgrade
 from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
-from agent.storage.tables.baselines import add_graph, plan_of, standing_baselines
+from agent.storage.tables.baselines import plan_of, standing_baselines
 from agent.storage.tables.learnt import newest_learnt
 from agent.storage.tables.notifications import Outbox, Route, nobody
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tables.run_rows import RunRows
+from agent.storage.tables.run_rows import RunRows, run_plan
 from agent.storage.tables.shelves import Shelf
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
@@ -237,21 +236,7 @@ class Store:
             run_id = self.numbers.take("runs")
             standing = [one.baseline_id for one in self.baselines(run.rig) if one.baseline_id is not None]
             run = replace(run, baseline_id=max(standing, default=run.baseline_id))
-            plan = Plan()
-            facts = (
-                run.kind,
-                run.started_ns,
-                run.code_version,
-                run.config_sha256,
-                run.baseline_id,
-                run.boot_id,
-            )
-            plan.sealed("runs", run_id, self.names.rig(run.rig), *facts, None, None)
-            if run.site or run.labels:
-                labels = json.dumps(dict(run.labels), ensure_ascii=False) if run.labels else None
-                plan.sealed("sites", self.numbers.take("sites"), run_id, run.site, labels)
-            add_graph(plan, run_id, run, self.numbers)
-            self.commit([plan])
+            self.commit([run_plan(run_id, run, self.names, self.numbers)])
             self.adopt_run(run_id, run)
             self._report_recovery(run_id, run)
             return run_id
@@ -263,13 +248,8 @@ class Store:
             self._missing = None
         if self.recovery is None:
             return
-        reported = str(self.recovery)
-        t_ns = run.started_ns
-        raised = AlarmTransition(
-            run.rig, "source", "store", "high", t_ns, "NORM", "UNACK", "damaged", reported
-        )
-        over = replace(raised, from_state="UNACK", to_state="RTNUN", cause="replaced")
-        self.write(run_id, [HealthEvent(run.rig, "store", t_ns, "damaged", reported), raised, over])
+        ends_ns = (run.started_ns, run.started_ns)
+        self.write(run_id, outage(run.rig, ends_ns, ("damaged", "replaced"), str(self.recovery)))
         self.recovery = None
 
     def adopt_run(self, run_id: int, run: RunInfo) -> None:
@@ -358,20 +338,11 @@ class Store:
 
     @contextmanager
     def transaction(self, side: sqlite3.Connection | None = None) -> Iterator[sqlite3.Connection]:
-        """Run what stands inside as one transaction: committed at its end, undone when it raises.
-
-        side: another connection than the file's own.
-        """
+        """Run what stands inside as one transaction; side: on another connection than the file's own."""
         with self._mutex:
             connection = side or self.connection
-            connection.execute("BEGIN IMMEDIATE")
-            try:
+            with transaction(connection):
                 yield connection
-                connection.execute("COMMIT")
-            except BaseException:
-                if connection.in_transaction:
-                    connection.execute("ROLLBACK")
-                raise
 
     def _checkpoint_if_due(self) -> None:
         commits, cells = self._since_checkpoint
@@ -410,7 +381,7 @@ class Store:
             ).fetchone()
             seq, total = known or (self.numbers.take("counters"), 0)
             plan = Plan()
-            plan.add("counters", (seq, name, total + more, row_crc((seq, name, total + more))))
+            plan.sealed("counters", seq, name, total + more)
             self.commit([plan])
 
     def reopen(self) -> None:
@@ -493,3 +464,18 @@ class Store:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def outage(rig: str, ends_ns: tuple[int, int], causes: tuple[str, str], message: str) -> list[Record]:
+    """Return the records of an outage of the store that is over: an event, an alarm raised and returned.
+
+    Args:
+        rig: whose rows it concerned.
+        ends_ns: when it began and when it ended, ns.
+        causes: of the alarm, and of its return to normal, which is not acknowledged.
+        message: for people.
+    """
+    (began_ns, ended_ns), (cause, end) = ends_ns, causes
+    raised = AlarmTransition(rig, "source", "store", "high", began_ns, "NORM", "UNACK", cause, message)
+    returned = replace(raised, t_ns=ended_ns, from_state="UNACK", to_state="RTNUN", cause=end)
+    return [HealthEvent(rig, "store", ended_ns, cause, message), raised, returned]

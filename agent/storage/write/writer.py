@@ -5,7 +5,6 @@ import sqlite3
 import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from agent.clock import wall_ns
@@ -22,7 +21,7 @@ from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import Job, JobQueue
 from agent.storage.write.latency import Histogram
 from agent.storage.write.retention import Retention
-from agent.storage.write.store import Store
+from agent.storage.write.store import Store, outage
 from agent.types import (
     AlarmTransition,
     Baseline,
@@ -55,7 +54,6 @@ class StoreWriter:
         lossless: for replays: `publish` waits for the disk instead of dropping, and a failing disk is an
             error.
         most_cells: rows that wait in memory at most, a rig.
-        on_event: told of every HealthEvent that the writer makes itself (in the writer's thread).
         served: others may ask for what changes the file, through the socket beside it, and for these; None:
             no socket.
     """
@@ -69,7 +67,6 @@ class StoreWriter:
         lossless: bool = False,
         most_cells: int = 200_000,
         period_s: float = 1.0,
-        on_event: Callable[[HealthEvent], None] = lambda _: None,
         served: Mapping[str, Handler] | None = None,
     ) -> None:
         self._opener, self._every_s = opener, every_s
@@ -77,7 +74,7 @@ class StoreWriter:
         self._thinners: dict[str, Thinner] = {}
         self._backlogs: dict[str, Backlog] = {}
         self._newest: dict[str, int] = {}
-        self._lossless, self._most, self._period, self._on_event = lossless, most_cells, period_s, on_event
+        self._lossless, self._most, self._period = lossless, most_cells, period_s
         self._store: Store | None = None
         self._flight: dict[str, list[Record]] = {}
         self._plans: list[Plan] = []
@@ -98,7 +95,7 @@ class StoreWriter:
         """Called, in the writer's thread, when there may be something to notify targets of."""
         self.on_stored: Callable[[], None] = lambda: None
         """Called, in the writer's thread, when records were committed."""
-        self._jobs = JobQueue("its agent", self._wake)
+        self._jobs = JobQueue(self._wake)
         self._thread = threading.Thread(target=self._work, name="store-writer", daemon=True)
         self.run_ids: dict[str, int] = {}
         self.standing: dict[str, list[AlarmRow]] = {}
@@ -484,7 +481,6 @@ class StoreWriter:
         for rig in self._runs:
             event = HealthEvent(rig, "store", self._newest[rig], cause, message)
             self._backlogs[rig].add([event], _FULL)
-            self._on_event(event)
 
     def _recovered(self) -> None:
         """After a failure: say how long it lasted and what it cost, once, by an event and an ended alarm."""
@@ -496,15 +492,8 @@ class StoreWriter:
                 f"the store could not be written for {since:.1f} s ({cause}); "
                 f"{lost} rows did not fit in memory"
             )
-            event = HealthEvent(rig, "store", self._newest[rig], cause, message)
-            raised = AlarmTransition(
-                rig, "source", "store", "high", self._failed_at[rig], "NORM", "UNACK", cause, message
-            )
-            over = replace(
-                raised, t_ns=self._newest[rig], from_state="UNACK", to_state="RTNUN", cause="recovered"
-            )
-            self._backlogs[rig].add([event, raised, over], cause)
-            self._on_event(event)
+            ends_ns = (self._failed_at[rig], self._newest[rig])
+            self._backlogs[rig].add(outage(rig, ends_ns, (cause, "recovered"), message), cause)
         log.warning("%s: can be written again after %.1f s", self._place(), since)
 
     def _end(self) -> None:

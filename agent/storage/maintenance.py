@@ -145,7 +145,7 @@ def compact(path: Path | str) -> tuple[int, int]:
     Needs as much free space as the file takes. An agent that writes to it is asked to do it.
     Raises StoreError as `Store.open` does.
     """
-    path = existing(path)
+    path = checked_path(path)
     before = path.stat().st_size
 
     def act(store: Store) -> dict[str, Any]:
@@ -170,7 +170,7 @@ def store_baselines(path: Path | str, baselines: Sequence[Baseline]) -> list[int
     return list(through_agent(Path(path), "baseline", act, baselines=fields)["baseline_ids"])
 
 
-def existing(path: Path | str) -> Path:
+def checked_path(path: Path | str) -> Path:
     """Return the path of a database. Raises StoreError where there is none."""
     path = Path(path)
     check_place(path)

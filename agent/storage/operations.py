@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from agent.storage.maintenance import existing, through_agent
+from agent.storage.maintenance import checked_path, through_agent
 from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import Request, carry_out, documents
 from agent.storage.write.notifications import resend
@@ -17,7 +17,7 @@ def command_alarms(path: Path | str, request: Request) -> list[dict[str, Any]]:
         StoreError: as `Store.open`; no such alarm, or one that refuses: then nothing is changed; no answer in
             5 s.
     """
-    path = existing(path)
+    path = checked_path(path)
     request = Request.read(request.document())
 
     def act(store: Store) -> dict[str, Any]:
@@ -36,4 +36,4 @@ def resend_notifications(path: Path | str, ids: list[int]) -> list[dict[str, Any
     def act(store: Store) -> dict[str, Any]:
         return {"notifications": resend(store, ids)}
 
-    return list(through_agent(existing(path), "resend", act, brief=True, ids=ids)["notifications"])
+    return list(through_agent(checked_path(path), "resend", act, brief=True, ids=ids)["notifications"])

@@ -190,7 +190,7 @@ def check_writable(path: Path) -> None:
     except PermissionError:
         forbidden = True
     except OSError:
-        pass  # met again, and told, when it is opened in earnest
+        pass  # met again, and reported, when it is opened in earnest
     if forbidden:
         advice = f"run as the owner of the file and of its folder, or let this user write to {folder}"
         raise StoreError.at(str(path), "permission denied", advice)

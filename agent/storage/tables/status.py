@@ -11,8 +11,8 @@ from agent.types import ConditionsRecord, CovariateMean, Health, HealthEvent, So
 class HealthRows:
     """Which row each source's ledger has at its newest instant.
 
-    There is one row an instant and source, and the last one told counts: while no sample comes the instant
-    stays, and what else was counted changes that row instead of adding more of them.
+    There is one row an instant and source, and the last one reported counts: while no sample comes the
+    instant stays, and what else was counted changes that row instead of adding more of them.
     """
 
     def __init__(self) -> None:

@@ -64,7 +64,7 @@ class CommandServer:
     Args:
         path: the database.
         handlers: by command; each gets the asked object and returns what to answer besides "ok". It runs in a
-            thread of its own, and what it raises is told to the asker.
+            thread of its own, and what it raises is the answer.
     """
 
     def __init__(self, path: Path, handlers: Mapping[str, Handler]) -> None:
@@ -136,7 +136,7 @@ class CommandServer:
         talk.start()
 
     def _converse(self, caller: _Caller) -> None:
-        """Answer one line; while the answer is being found the asker hears that the agent lives."""
+        """Answer one line; while the answer is being found empty lines say that the agent lives."""
         answers: list[Mapping[str, Any]] = []
         worker = threading.Thread(
             target=lambda: answers.append(self._answer(caller.line)), name="command", daemon=True
@@ -164,7 +164,7 @@ class CommandServer:
                 "error": str(error),
                 "faults": [[f.path, f.message, f.advice] for f in error.faults],
             }
-        except Exception as error:  # noqa: BLE001 - the asker is told; the agent goes on
+        except Exception as error:  # noqa: BLE001 - it is the answer; the agent goes on
             return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
 

@@ -40,7 +40,7 @@ class JobQueue:
         for job, answer in self._taken():
             try:
                 answer.set_result(job(store))
-            except Exception as error:  # noqa: BLE001 - the asker is told; the writer goes on
+            except Exception as error:  # noqa: BLE001 - the caller gets it; the writer goes on
                 answer.set_exception(error)
 
     def refuse(self, message: str, advice: str) -> None:

@@ -98,7 +98,7 @@ class Store:
         self.hurried = False
         """Whether the process is ending: nothing is purged any more, and of aggregates only the next made."""
         self.recovery: Recovery | None = None
-        """What became of a damaged file that was found here; told in the next run that begins."""
+        """What became of a damaged file that was found here; reported in the next run that begins."""
 
     @classmethod
     def open(cls, path: Path | str, keep: Retention = _FOR_EVER, route: Route = nobody) -> Self:

@@ -5,8 +5,8 @@ away what what came after. The note is not synced: it may be older than the trut
 newer.
 
 A note alone is no damage: it counts where the log itself holds rows that SQLite does not reach. Otherwise
-nothing could be saved by replacing the file, and whoever forged a note would have it replaced; it is told and
-put right.
+nothing could be saved by replacing the file, and whoever forged a note would have it replaced; it is
+reported and put right.
 """
 
 import os

@@ -25,6 +25,9 @@ COMMANDS: Final[tuple[Cause, ...]] = ("acknowledge", "shelve", "unshelve", "out 
 """What an operator does; the others happen by themselves."""
 SUPPRESSED: Final = frozenset[AlarmState]({"SHLVD", "DSUPR", "OOSRV"})
 """States in which nothing is announced, whatever the condition does."""
+RAISED: Final[Mapping[AlarmState, AlarmState]] = {"NORM": "UNACK", "RTNUN": "UNACK"}
+CLEARED: Final[Mapping[AlarmState, AlarmState]] = {"UNACK": "RTNUN", "ACKED": "NORM"}
+"""What a detector, which knows of conditions only, makes of a state by raising and by clearing."""
 
 TABLE: Final = """
 state  raise  clear  acknowledge  shelve  unshelve    expire      suppress  unsuppress  out-of-service  return      re-alarm

@@ -1,6 +1,6 @@
 """Health assessment: level alarms raised by probability, with delays, a deadband and the states of ISA-18.2.
 
-Each judged row asks two questions of Student's t with the row's own standard deviation and degrees of
+Two tests by Student's t are made of each valid row, with its own standard deviation and degrees of
 freedom:
 
     raise   P(|Δ| > limit)            ≥ confidence at every row for the on-delay, at least half a window
@@ -17,41 +17,14 @@ have it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, Protocol
 
 import numpy as np
 
+from agent.alarms.life_cycle import CLEARED, RAISED
+from agent.config.tables import Alarm as AlarmRule
 from agent.numerics.exceedance import Deviations
 from agent.text import behind, number, with_sd
 from agent.types import AlarmState, AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray, Status
-
-_RAISED: Final[Mapping[AlarmState, AlarmState]] = {"NORM": "UNACK", "RTNUN": "UNACK"}
-_CLEARED: Final[Mapping[AlarmState, AlarmState]] = {"UNACK": "RTNUN", "ACKED": "NORM"}
-
-
-class LevelRule(Protocol):
-    """One `[[alarm]]` table of the configuration; None stands for the key's default."""
-
-    @property
-    def parameter(self) -> str: ...
-    @property
-    def limit(self) -> float | None: ...
-    @property
-    def limit_percent(self) -> float | None: ...
-    @property
-    def side(self) -> str: ...
-    @property
-    def confidence(self) -> float: ...
-    @property
-    def deadband(self) -> float | None: ...
-    @property
-    def on_delay_s(self) -> float | None: ...
-    @property
-    def off_delay_s(self) -> float | None: ...
-    @property
-    def priority(self) -> str: ...
-    @property
-    def advice(self) -> str | None: ...
 
 
 class _Timers:
@@ -64,9 +37,9 @@ class _Timers:
     def advance(self, steps: IntArray, met: BoolArray, assessed: BoolArray) -> IntArray:
         """Return for how many samples the condition has held at each row, (N, r).
 
-        steps (N, 1) samples since the row before, met (N, r) rows that meet the condition, judged (N, r) rows
-        that could. The time between two rows counts when both meet it; a judged row that does not starts from
-        zero again.
+        steps (N, 1) samples since the row before, met (N, r) rows that meet the condition, assessed (N, r)
+        rows that could. The time between two rows counts when both meet it; an assessed row that does not
+        starts from zero again.
         """
         before = np.vstack([self.met, met[:-1]])
         total = self.held + np.cumsum(np.where(met & before, steps, 0), axis=0)
@@ -79,10 +52,10 @@ class LevelAlarms:
     """Level alarms of a rig: batches of estimates in, transitions out; splitting a batch changes nothing.
 
     rules: the configuration's alarm tables, at most one a parameter. sample_rate_hz turns delays into
-    samples. Raises ValueError for a rule that cannot be judged.
+    samples. Raises ValueError for a rule that cannot be applied.
     """
 
-    def __init__(self, rig: str, rules: Sequence[LevelRule], sample_rate_hz: float) -> None:
+    def __init__(self, rig: str, rules: Sequence[AlarmRule], sample_rate_hz: float) -> None:
         for rule in rules:
             _check(rule)
         self._rig = rig
@@ -91,10 +64,6 @@ class LevelAlarms:
         self._up = np.array([rule.side != "low" for rule in rules], dtype=np.bool_)
         self._down = np.array([rule.side != "high" for rule in rules], dtype=np.bool_)
         self._confidence = np.array([rule.confidence for rule in rules])
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything: all alarms NORM, timers at zero."""
         self._states: list[AlarmState] = ["NORM"] * len(self._rules)
         self._on, self._off = _Timers(len(self._rules)), _Timers(len(self._rules))
         self._index: int | None = None
@@ -105,7 +74,7 @@ class LevelAlarms:
         return {rule.parameter: state for rule, state in zip(self._rules, self._states, strict=True)}
 
     def step(self, batch: EstimateBatch) -> list[AlarmTransition]:
-        """Judge the rows of a batch and return what they changed, in the order of time.
+        """Test the rows of a batch and return what they changed, in the order of time.
 
         Raises ValueError when the batch lacks a rule's parameter.
         """
@@ -115,55 +84,33 @@ class LevelAlarms:
         if missing:
             raise ValueError(f"alarms on {', '.join(sorted(missing))}, which the estimates do not carry")
         columns = [batch.parameters.index(rule.parameter) for rule in self._rules]
-        judgement = _Judgement(batch, columns, self._up, self._down, self._rules)
+        assessment = _Assessment(batch, columns, self._up, self._down, self._rules)
         steps = np.diff(batch.index, prepend=batch.index[0] if self._index is None else self._index)[:, None]
         self._index = int(batch.index[-1])
-        due_on = self._due_on(judgement, steps)
-        due_off = self._due_off(judgement, steps, np.logical_or.reduce(due_on))
+        due_on = self._due_on(assessment, steps)
+        due_off = self._due_off(assessment, steps, np.logical_or.reduce(due_on))
         changes = sorted((row, i) for i in range(len(columns)) for row in self._changes(i, due_on, due_off))
-        return [self._turn(judgement, row, i) for row, i in changes]
+        return [self._turn(assessment, row, i) for row, i in changes]
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return the whole state as plain values that JSON carries."""
-        alarms = {
-            parameter: {
-                "state": state,
-                "on": [int(self._on.held[i]), bool(self._on.met[i])],
-                "off": [int(self._off.held[i]), bool(self._off.met[i])],
-            }
-            for i, (parameter, state) in enumerate(self.states.items())
-        }
-        return {"index": self._index, "alarms": alarms}
+    def restore(self, states: Mapping[str, AlarmState]) -> None:
+        """Go on from states by parameter, before the first row; those not named are NORM, timers at zero."""
+        self._states = [states.get(rule.parameter, "NORM") for rule in self._rules]
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Take up a snapshot; alarms that it does not name start as NORM, those without a rule are left out.
-
-        States alone, `{"alarms": {"k1": {"state": "UNACK"}}}`, are enough: timers then start from zero.
-        """
-        self.reset()
-        self._index = state.get("index")
-        for i, rule in enumerate(self._rules):
-            saved = state["alarms"].get(rule.parameter)
-            if saved is not None:
-                self._states[i] = saved["state"]
-                self._on.held[i], self._on.met[i] = saved.get("on", (0, False))
-                self._off.held[i], self._off.met[i] = saved.get("off", (0, False))
-
-    def _due_on(self, judgement: "_Judgement", steps: IntArray) -> BoolArray:
+    def _due_on(self, assessment: "_Assessment", steps: IntArray) -> BoolArray:
         """Return the rows (N, r) at which the condition for raising has held for its delay."""
-        met = judgement.deviations.exceed(judgement.limit, self._confidence, judgement.assessed)
-        held = self._on.advance(steps, met, judgement.assessed)
-        due: BoolArray = met & (held >= self._samples(judgement.on_delay_s()))
+        met = assessment.deviations.exceed(assessment.limit, self._confidence, assessment.assessed)
+        held = self._on.advance(steps, met, assessment.assessed)
+        due: BoolArray = met & (held >= self._samples(assessment.on_delay_s()))
         return due
 
-    def _due_off(self, judgement: "_Judgement", steps: IntArray, raising: BoolArray) -> BoolArray:
+    def _due_off(self, assessment: "_Assessment", steps: IntArray, raising: BoolArray) -> BoolArray:
         """Return the rows (N, r) at which the condition for clearing has held for its delay.
 
         Alarms that neither stand nor are raised in this batch are left out: raising starts their timer anew.
         """
-        among = judgement.assessed & (raising | np.array([state in _CLEARED for state in self._states]))
-        met = judgement.deviations.stay_within(judgement.level, self._confidence, among)
-        held = self._off.advance(steps, met, judgement.assessed)
+        among = assessment.assessed & (raising | np.array([state in CLEARED for state in self._states]))
+        met = assessment.deviations.stay_within(assessment.level, self._confidence, among)
+        held = self._off.advance(steps, met, assessment.assessed)
         delay = np.array([rule.off_delay_s or 0.0 for rule in self._rules])
         due: BoolArray = met & (held >= self._samples(delay))
         return due
@@ -175,7 +122,7 @@ class LevelAlarms:
     def _changes(self, i: int, due_on: BoolArray, due_off: BoolArray) -> Iterator[int]:
         """Yield the rows at which rule i is raised and cleared by turns."""
         row = 0
-        stands = self._states[i] in _CLEARED
+        stands = self._states[i] in CLEARED
         while row < len(due_on):
             due = (due_off if stands else due_on)[row:, i]
             ahead = int(due.argmax())
@@ -184,15 +131,15 @@ class LevelAlarms:
             yield row + ahead
             row, stands = row + ahead + 1, not stands
 
-    def _turn(self, judgement: "_Judgement", row: int, i: int) -> AlarmTransition:
+    def _turn(self, assessment: "_Assessment", row: int, i: int) -> AlarmTransition:
         """Take rule i through its change at a row."""
         before = self._states[i]
-        raising = before in _RAISED
-        after = self._states[i] = (_RAISED if raising else _CLEARED)[before]
-        return judgement.transition(row, i, before, after)
+        raising = before in RAISED
+        after = self._states[i] = (RAISED if raising else CLEARED)[before]
+        return assessment.transition(row, i, before, after)
 
 
-class _Judgement:
+class _Assessment:
     """One batch as the rules see it: one column a rule."""
 
     def __init__(
@@ -201,7 +148,7 @@ class _Judgement:
         columns: list[int],
         up: BoolArray,
         down: BoolArray,
-        rules: tuple[LevelRule, ...],
+        rules: tuple[AlarmRule, ...],
     ) -> None:
         value = batch.value[:, columns]
         sd = _deviation_sd(batch, columns)
@@ -285,20 +232,20 @@ def _deviation_sd(batch: EstimateBatch, columns: list[int]) -> FloatArray:
     return np.where(np.isfinite(learnt) & np.isfinite(repeat), np.hypot(repeat, learnt), sd)
 
 
-def _limit(rule: LevelRule, reference: float) -> float:
+def _limit(rule: AlarmRule, reference: float) -> float:
     """Return the limit in the parameter's unit; infinite for a percentage of a zero reference."""
     if rule.limit is not None:
         return rule.limit
     return abs(reference) * (rule.limit_percent or 0.0) / 100.0 or float("inf")
 
 
-def _level(rule: LevelRule, limit: float) -> float:
+def _level(rule: AlarmRule, limit: float) -> float:
     """Return the level under which the alarm clears: limit less deadband, by default a tenth of the limit."""
     return limit - (0.1 * limit if rule.deadband is None else rule.deadband)
 
 
-def _check(rule: LevelRule) -> None:
-    """Refuse what the arithmetic cannot judge. Raises ValueError."""
+def _check(rule: AlarmRule) -> None:
+    """Refuse what the arithmetic cannot apply. Raises ValueError."""
     if (rule.limit is None) == (rule.limit_percent is None):
         raise ValueError(f"alarm on {rule.parameter}: exactly one of limit and limit_percent is needed")
     if not 0.5 <= rule.confidence < 1.0:

@@ -22,7 +22,7 @@ from agent.types import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class QualitySettings:
-    """What `Quality` is told.
+    """Settings of `Quality`.
 
     Attributes:
         channels: (c,) names, inputs first.

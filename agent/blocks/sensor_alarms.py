@@ -34,7 +34,7 @@ class SensorAlarms:
         self._restored = set(standing)
 
     def start_anew(self) -> None:
-        """Go on with standing alarms, though what judged their channels begins anew and knows of none."""
+        """Go on with standing alarms, though what watched their channels begins anew and knows of none."""
         self._restored = set(self._standing)
 
     def step(self, events: Iterable[SensorEvent]) -> list[AlarmTransition]:
@@ -48,7 +48,7 @@ class SensorAlarms:
         return changes
 
     def confirm(self, batch: EstimateBatch) -> list[AlarmTransition]:
-        """Return what a batch says of alarms raised by an earlier judge: a valid estimate clears them."""
+        """Return what a batch says of alarms raised by an earlier watch: a valid estimate clears them."""
         valid = (batch.status == Status.VALID).any(axis=1)
         if not self._restored or not valid.any():
             return []

@@ -1,9 +1,9 @@
 """Health assessment of sources: of all counted about one, an event an episode, with the most telling cause.
 
 A source that fails does so in several ways at once: a broken frame is refused, and leaves a gap. What is
-counted within a moment of the first sign is one episode, told once, and over when nothing was counted for a
-while. What a driver tells by itself (lost, stale, bus-off ...) begins an episode too, in which the counts add
-nothing.
+counted within a moment of the first sign is one episode, reported once, and over when nothing was counted
+for a while. What a driver reports by itself (lost, stale, bus-off ...) begins an episode too, in which the
+counts add nothing.
 """
 
 from collections import Counter
@@ -20,7 +20,7 @@ RESTART, GAP = "restart", "gap"
 
 
 _ORDERED = frozenset({"duplicate", "backwards", "missing value", "not finite", "too large", "spike"})
-"""Reasons of whoever orders and judges samples: a broken frame explains them, not the other way round."""
+"""Reasons of whoever orders and tests samples: a broken frame explains them, not the other way round."""
 _NOT_ITS_OWN = frozenset({"unpaired", "failure", *(reason.name.lower() for reason in Reason)})
 """Another source's fault, or a channel's, which has an alarm of its own."""
 
@@ -69,7 +69,7 @@ class SourceEvents:
         self._episodes: dict[str, _Episode] = {}
 
     def reported(self, source: str, now_ns: int, *, away: bool) -> None:
-        """Note that the driver told by itself what is wrong, or (not away) that its source is back."""
+        """Note that the driver reported by itself what is wrong, or (not away) that its source is back."""
         episode = self._episodes.setdefault(source, _Episode(Signs(0, {}, {}, 0).ranked()))
         episode.begun_ns = now_ns if episode.begun_ns is None else episode.begun_ns
         episode.newest_ns, episode.said, episode.away = now_ns, True, away
@@ -111,6 +111,6 @@ class SourceEvents:
         return max(telling.items(), key=lambda item: item[1])
 
     def finish(self) -> dict[str, tuple[str, int]]:
-        """Return what has not been told yet, by source."""
+        """Return what has not been reported yet, by source."""
         unsaid = {name: e for name, e in self._episodes.items() if e.begun_ns is not None and not e.said}
         return {name: self._say(episode) for name, episode in unsaid.items()}

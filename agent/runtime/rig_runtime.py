@@ -88,8 +88,9 @@ class RigRuntime:
         """Go on with the alarms that the run before left standing, and what it knew of rig and covariates."""
         self.pipeline.adopt(learnt, covariates)
         self.states.restore((kind_of(row), row.parameter, alarm_of(row)) for row in standing)
-        levels = {row.parameter: {"state": detected(row)} for row in standing if row.kind == "level"}
-        self.pipeline.alarms.restore({"alarms": levels})
+        self.pipeline.alarms.restore(
+            {row.parameter: detected(row) for row in standing if row.kind == "level"}
+        )
         self.pipeline.prognosis_alarms.restore([replace(row, state=detected(row)) for row in standing])
         self.pipeline.sensor_alarms.restore(
             [row.parameter for row in standing if row.kind == "sensor" and row.cleared_ns is None]

@@ -14,10 +14,11 @@ anything else.
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
+from agent.config.tables import Alarm as AlarmRule
 from agent.types import AlarmKind, AlarmTransition, EstimateBatch, Reason, Status
 
 LEAST_S: Final = 60.0
@@ -31,24 +32,11 @@ _OF_CHANNELS: Final = frozenset(
 """Reasons that an alarm of a channel explains, where one stands."""
 
 
-class BlindRule(Protocol):
-    """What an `[[alarm]]` table says of a parameter that is not estimated; None is the key's default."""
-
-    @property
-    def parameter(self) -> str: ...
-    @property
-    def blind_s(self) -> float | None: ...
-    @property
-    def priority(self) -> str: ...
-    @property
-    def advice(self) -> str | None: ...
-
-
 @dataclass(slots=True)
 class _Watch:
     """One parameter: for how many samples it has not been estimated, by reason."""
 
-    rule: BlindRule
+    rule: AlarmRule
     window_s: float
     samples: Counter[str] = field(default_factory=Counter)
 
@@ -81,7 +69,7 @@ class BlindAlarms:
         window_s: of the shortest window, until rows say theirs.
     """
 
-    def __init__(self, rig: str, rules: Sequence[BlindRule], sample_rate_hz: float, window_s: float) -> None:
+    def __init__(self, rig: str, rules: Sequence[AlarmRule], sample_rate_hz: float, window_s: float) -> None:
         self._rig, self._rate = rig, sample_rate_hz
         self._watches = {rule.parameter: _Watch(rule, window_s) for rule in reversed(rules)}
         self._names = list(dict.fromkeys(rule.parameter for rule in rules))
@@ -196,7 +184,7 @@ def _reason(batch: EstimateBatch, row: int, column: int) -> str | None:
     return (status if reason == Reason.NONE else reason).name.lower().replace("_", " ")
 
 
-def _counts(rule: BlindRule, batch: EstimateBatch, place: tuple[int, int], *, explained: bool) -> bool:
+def _counts(rule: AlarmRule, batch: EstimateBatch, place: tuple[int, int], *, explained: bool) -> bool:
     """Tell whether a row without a valid estimate is time that a parameter is blind."""
     reason = Reason(int(batch.reason[place]))
     if reason == Reason.STANDSTILL:

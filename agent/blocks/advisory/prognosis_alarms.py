@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from agent.alarms.life_cycle import CLEARED, RAISED
 from agent.blocks.advisory.outlook import Outlook
+from agent.config.tables import Alarm as AlarmRule
 from agent.text import ahead, behind, number, with_sd
 from agent.types import AlarmKind, AlarmState, AlarmTransition
 
@@ -25,29 +27,6 @@ if TYPE_CHECKING:
 DAY_S: Final = 86_400.0
 DEADBAND: Final = 0.1
 """Of `within` and of the rate: as much as a level alarm's is of its limit."""
-_RAISED: Final[Mapping[AlarmState, AlarmState]] = {"NORM": "UNACK", "RTNUN": "UNACK"}
-_CLEARED: Final[Mapping[AlarmState, AlarmState]] = {"UNACK": "RTNUN", "ACKED": "NORM"}
-
-
-class PrognosisRule(Protocol):
-    """One `[[alarm]]` table of the configuration."""
-
-    @property
-    def parameter(self) -> str: ...
-    @property
-    def kinds(self) -> tuple[str, ...]: ...
-    @property
-    def side(self) -> str: ...
-    @property
-    def confidence(self) -> float: ...
-    @property
-    def priority(self) -> str: ...
-    @property
-    def within(self) -> float | None: ...
-    @property
-    def rate_per_day(self) -> float | None: ...
-    @property
-    def advice(self) -> str | None: ...
 
 
 class StandingRow(Protocol):
@@ -77,7 +56,7 @@ class _Finding:
 class PrognosisAlarms:
     """The alarms of kind forecast and rate of one rig: outlooks in, transitions out."""
 
-    def __init__(self, rig: str, rules: Sequence[PrognosisRule]) -> None:
+    def __init__(self, rig: str, rules: Sequence[AlarmRule]) -> None:
         self._rig = rig
         kinds: tuple[AlarmKind, ...] = ("forecast", "rate")
         self._rules = {(kind, rule.parameter): rule for rule in rules for kind in kinds if kind in rule.kinds}
@@ -107,10 +86,10 @@ class PrognosisAlarms:
         return changes
 
     def _changed(
-        self, kind: AlarmKind, rule: PrognosisRule, outlook: Outlook, found: _Finding
+        self, kind: AlarmKind, rule: AlarmRule, outlook: Outlook, found: _Finding
     ) -> list[AlarmTransition]:
         before = self._states[kind, rule.parameter]
-        after = (_RAISED if found.raised else _CLEARED if found.cleared else {}).get(before)
+        after = (RAISED if found.raised else CLEARED if found.cleared else {}).get(before)
         if after is None:
             return []
         self._states[kind, rule.parameter] = after
@@ -123,7 +102,7 @@ class PrognosisAlarms:
         return [change]
 
 
-def _foreseen(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
+def _foreseen(rule: AlarmRule, outlook: Outlook) -> _Finding | None:
     """Return what a forecast says of its rule; None where it leaves open whether the limit is near."""
     made, within_s = outlook.forecast, rule.within
     if made is None or within_s is None:
@@ -151,7 +130,7 @@ def _forecast_words(outlook: Outlook, made: "Forecast", within_s: float, *, near
     )
 
 
-def _drift(rule: PrognosisRule, outlook: Outlook) -> _Finding | None:
+def _drift(rule: AlarmRule, outlook: Outlook) -> _Finding | None:
     """Return what the newest slope says of its rule; None where it is not known, or neither is sure."""
     change, rate = outlook.change, rule.rate_per_day
     if change is None or rate is None:

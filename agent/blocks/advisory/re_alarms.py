@@ -1,31 +1,18 @@
 """Advisory: an acknowledged alarm that stands for long after asks again (ISA-18.2 clause 5.4: C to B)."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
 
 from agent.alarms.life_cycle import Alarm
+from agent.config.tables import Alarm as AlarmRule
 from agent.types import AlarmKind, AlarmTransition
-
-
-class ReAlarmRule(Protocol):
-    """What an `[[alarm]]` table says of asking again; None for never."""
-
-    @property
-    def parameter(self) -> str: ...
-    @property
-    def re_alarm_s(self) -> float | None: ...
-    @property
-    def priority(self) -> str: ...
-    @property
-    def advice(self) -> str | None: ...
 
 
 class ReAlarms:
     """The alarms of one rig that ask again. Time is monotonic, from the agent's start at the earliest."""
 
-    def __init__(self, rig: str, rules: Sequence[ReAlarmRule]) -> None:
+    def __init__(self, rig: str, rules: Sequence[AlarmRule]) -> None:
         self._rig = rig
-        self._rules: Mapping[str, ReAlarmRule] = {rule.parameter: rule for rule in rules if rule.re_alarm_s}
+        self._rules: Mapping[str, AlarmRule] = {rule.parameter: rule for rule in rules if rule.re_alarm_s}
         self._since: dict[tuple[AlarmKind, str], int] = {}
 
     def step(

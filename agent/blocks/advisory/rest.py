@@ -6,30 +6,20 @@ alarm that does not stand is left: rows that are not valid raise nothing.
 """
 
 from collections.abc import Sequence
-from typing import Final, Literal, Protocol
+from typing import Final
 
 import numpy as np
 
+from agent.config.tables import Alarm as AlarmRule
 from agent.types import AlarmState, AlarmTransition, EstimateBatch, Status
 
 REST_S: Final = 10.0
 
 
-class RestRule(Protocol):
-    """What an `[[alarm]]` table says of a machine at rest."""
-
-    @property
-    def parameter(self) -> str: ...
-    @property
-    def at_rest(self) -> Literal["hold", "suppress"]: ...
-    @property
-    def priority(self) -> str: ...
-
-
 class RestAlarms:
     """The level alarms of one rig that rest silences; cutting a batch in two changes nothing."""
 
-    def __init__(self, rig: str, rules: Sequence[RestRule], sample_rate_hz: float) -> None:
+    def __init__(self, rig: str, rules: Sequence[AlarmRule], sample_rate_hz: float) -> None:
         self._rig = rig
         self._rules = {rule.parameter: rule for rule in rules if rule.at_rest == "suppress"}
         self._due = REST_S * sample_rate_hz

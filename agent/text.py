@@ -17,12 +17,15 @@ def behind(unit: str) -> str:
     return "" if unit in {"", "1"} else f" {unit}"
 
 
-def with_sd(value: float, sd: float) -> str:
+def with_sd(value: float | None, sd: float | None) -> str:
     """Write a value beside its standard deviation, both to the digits the deviation allows: `25.1 ± 0.9`.
 
     The deviation keeps two digits where it begins with 1 or 2, else one. Very small and very large pairs
-    share a power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone.
+    share a power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone, and a
+    dash for none.
     """
+    if value is None or sd is None:
+        return number(value)
     if not (math.isfinite(value) and math.isfinite(sd) and sd > 0.0):
         return number(value)
     power = math.floor(math.log10(sd))

@@ -31,6 +31,7 @@ def identify(
 ) -> None:
     """Find springs and dampers from recordings, no nominal needed; of linear models from their nominals."""
     from agent.cli.commissioning import identify as commands_identify
+    from agent.cli.terminal.errors import report_errors
     from agent.commissioning.identification import identify as body
 
     if graph:
@@ -43,7 +44,7 @@ def identify(
         commands_identify.draw(document, seen, plot)
     answer(document, commands_identify.print_identified, as_json=json)
     if not document["ok"]:
-        raise typer.Exit(commands_identify.report_refusal(document))
+        raise typer.Exit(report_errors(document))
 
 
 @part.command(

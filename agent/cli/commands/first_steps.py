@@ -58,11 +58,11 @@ def paper(
     plot: Plot = None,
 ) -> None:
     """Recompute the paper's tables 1 and 3 and its figures 3 and 4, and say what differs."""
-    from agent.cli.tables import results as commands_results
+    from agent.cli.terminal.output import show
     from agent.evaluation.paper import paper as body
 
     document = body.paper(window=window, passes=passes, plot=plot)
-    answer(document, lambda found: commands_results.print_paper(found, body), as_json=json)
+    answer(document, lambda found: show(body.table(found)), as_json=json)
 
 
 @part.command()
@@ -174,6 +174,7 @@ def check(
 ) -> None:
     """Check a configuration: faults, observability, poles, the sd to expect, advice."""
     from agent.cli.commissioning import check as commands_check
+    from agent.cli.terminal.errors import report_errors
     from agent.commissioning import check as body
 
     document = body.check(config=config, recording=recording, probe=probe)
@@ -183,7 +184,7 @@ def check(
         draw_region(config, document, plot, db)
     answer(document, commands_check.print_check, as_json=json)
     if not document.get("ok", True):
-        raise typer.Exit(commands_check.report_faults(document))
+        raise typer.Exit(report_errors(document))
 
 
 @part.command()

@@ -4,9 +4,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
-from agent.cli.terminal.errors import USAGE
-from agent.cli.terminal.output import print_faults, print_table, show
-from agent.errors import Fault
+from agent.cli.terminal.output import fault_of, print_table, show
 from agent.text import number
 
 Document = Mapping[str, Any]
@@ -23,7 +21,7 @@ def print_check(document: Document) -> None:
             else "the configuration is usable once it is identified"
         )
     for warning in given["warnings"]:
-        show(f"warning: {warning if isinstance(warning, str) else _fault(warning)}")
+        show(f"warning: {warning if isinstance(warning, str) else fault_of(warning)}")
     if "observable" in given:
         show(f"states are {'' if given['observable'] else 'not '}observable from the channels")
     _print_poles(given["poles"])
@@ -36,18 +34,6 @@ def print_check(document: Document) -> None:
     _print_predicted(given["predicted_sd"])
     if given["bytes_per_rig_year"]:
         show(f"the database grows by about {document['bytes_per_rig_year'] / 1e6:.0f} MB a year")
-
-
-def report_faults(document: Document) -> int:
-    """Print the document's errors on stderr and return the exit code."""
-    print_faults(_fault(error) for error in document.get("errors") or [])
-    return USAGE
-
-
-def _fault(error: Mapping[str, Any]) -> Fault:
-    return Fault(
-        str(error.get("path") or ""), str(error.get("message") or ""), str(error.get("advice") or "")
-    )
 
 
 def _print_poles(poles: list[Document]) -> None:

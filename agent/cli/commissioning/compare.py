@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.cli.terminal.output import print_table, show
-from agent.cli.terminal.pictures import save_picture
-from agent.errors import UsageError
+from agent.cli.terminal.pictures import new_figure, save_picture
 from agent.evaluation.compare.trial import Estimates
 from agent.text import number, with_sd
 
@@ -44,17 +43,13 @@ def print_compared(document: Document) -> None:
 def _estimate(row: Document) -> str:
     if row["value"] is None:
         return "none valid"
-    return with_sd(row["value"], float("nan") if row["sd"] is None else row["sd"])
+    return with_sd(row["value"], row["sd"])
 
 
 def draw(document: Document, rows: Mapping[str, Estimates], path: Path) -> None:
     """Draw each method's estimates over time. Raises UsageError without matplotlib or a place to write."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
     parameters = list(next(iter(document["methods"].values()))["estimates"].items()) if rows else []
-    figure = Figure(figsize=(9, 1.2 + 2.0 * max(len(parameters), 1)), layout="constrained")
+    figure = new_figure(9, 1.2 + 2.0 * max(len(parameters), 1))
     axes = figure.subplots(max(len(parameters), 1), 1, sharex=True, squeeze=False)[:, 0]
     for column, (axis, (name, row)) in enumerate(zip(axes, parameters, strict=False)):
         _draw_parameter(axis, rows, column, document["samples"])

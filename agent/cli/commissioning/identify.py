@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.cli.terminal.errors import USAGE
-from agent.cli.terminal.output import print_faults, print_table, show
-from agent.cli.terminal.pictures import save_picture
+from agent.cli.terminal.output import print_table, show
+from agent.cli.terminal.pictures import new_figure, save_picture
 from agent.commissioning.explained import Explained
-from agent.errors import Fault, UsageError
 from agent.text import interval, number, percent, with_sd
 
 Document = Mapping[str, Any]
@@ -72,20 +70,10 @@ def _standing(row: Document) -> str:
     return ", ".join({"tie": "near tie", "configured": "the file's"}.get(word, word) for word in words)
 
 
-def report_refusal(document: Document) -> int:
-    """Print on stderr why the graph was refused and return the exit code."""
-    print_faults(Fault(e["path"], e["message"], e["advice"]) for e in document["errors"])
-    return USAGE
-
-
 def draw(document: Document, seen: Explained, path: Path) -> None:
     """Draw predicted against measured motion. Raises UsageError without matplotlib or a place to write."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
     names = list(document["unexplained"])
-    figure = Figure(figsize=(9, 1.2 + 1.8 * len(names)), layout="constrained")
+    figure = new_figure(9, 1.2 + 1.8 * len(names))
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     length = min(len(seen.measured), DRAWN)
     t = np.arange(length)

@@ -78,7 +78,7 @@ def _parameter(row: Row) -> "tuple[RenderableType, ...]":
     used = "" if row["used"] is None else f"{100.0 * row['used']:.0f} %"
     alarm = _line(row["alarm"] or "", _STATE_STYLES.get(row["alarm"], ""))
     style = _STYLES.get(row["status"], "")
-    value = f"{_value(row)} {row['unit'] or ''}".rstrip()
+    value = f"{with_sd(row['value'], row['sd'])} {row['unit'] or ''}".rstrip()
     return row["parameter"], value, _Bar(row, style), used, _line(status, style), alarm
 
 
@@ -96,11 +96,6 @@ class _Bar:
 
     def __rich_console__(self, _console: "Console", options: "ConsoleOptions") -> "Iterator[RenderableType]":
         yield _line(bar(self.row, min(options.max_width, _WIDTH)), self.style)
-
-
-def _value(row: Row) -> str:
-    value, sd = (float("nan") if row[key] is None else row[key] for key in ("value", "sd"))
-    return with_sd(value, sd)
 
 
 def bar(row: Row, width: int = _WIDTH) -> str:

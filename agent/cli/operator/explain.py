@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.cli.terminal.output import print_table, show
-from agent.cli.terminal.pictures import save_picture
+from agent.cli.terminal.pictures import new_figure, save_picture
 from agent.errors import UsageError
 from agent.evaluation.explain.explain import Explained
 from agent.evaluation.explain.explain import explain as explained
@@ -38,13 +38,9 @@ def print_explained(document: Mapping[str, Any]) -> None:
 
 def draw(found: Explained, path: Path) -> None:
     """Draw samples and estimate around an alarm. Raises UsageError: no matplotlib, no samples, no place."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
+    figure = new_figure(9, 6)
     if found.kept is None or found.again is None:
         raise UsageError.at("--plot", "there is nothing to draw", found.document["words"])
-    figure = Figure(figsize=(9, 6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     zero = parse_time(found.alarm["raised_at"], None)
     _draw_samples(upper, found, zero)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.cli.prognosis.words import time_unit
-from agent.cli.terminal.pictures import save_picture
-from agent.errors import UsageError
+from agent.cli.terminal.pictures import new_figure, save_picture
 from agent.text import short_time
 
 Document = Mapping[str, Any]
@@ -17,11 +16,7 @@ MOST_PAST = 100
 
 def draw(found: Document, path: Path, past: Sequence[Document] = ()) -> None:
     """Draw a trend, and past forecasts faintly. Raises UsageError without matplotlib or the file's place."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError.at("--plot", "matplotlib is not installed", "pip install 'deltak[plot]'") from error
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    figure = new_figure(9, 3.6)
     axes = figure.add_subplot(ylabel=found["unit"] or "")
     axes.set_title(f"{found['parameter']} of {found['rig']}", loc="left")
     axes.spines[["top", "right"]].set_visible(False)

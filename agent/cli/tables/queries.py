@@ -73,7 +73,7 @@ def _estimate_cells(row: Row) -> tuple[str, ...]:
         row["rig"],
         short_time(row["time"]),
         row["parameter"],
-        with_sd(*(float("nan") if row[key] is None else row[key] for key in ("value", "sd"))),
+        with_sd(row["value"], row["sd"]),
         row["unit"] or "",
         interval(row["lower"], row["upper"]),
         number(row["delta"], 4),
@@ -110,6 +110,6 @@ def _print_verdict_table(rows: Sequence[Row]) -> None:
 
 
 def _verdict_cells(row: Row) -> tuple[str, ...]:
-    size, sd = (float("nan") if row[key] is None else row[key] for key in ("size", "sd"))
-    what = (row["rig"], short_time(row["time"]), row["hypothesis"], with_sd(size, sd), row["unit"])
+    size = with_sd(row["size"], row["sd"])
+    what = (row["rig"], short_time(row["time"]), row["hypothesis"], size, row["unit"])
     return *what, number(row["probability"], 3)

@@ -1,14 +1,13 @@
-"""Tables of what `replay`, `run`, `demo` and `paper` found, from the documents of the JSON interface."""
+"""Tables of what `replay`, `run` and `demo` found, from the documents of the JSON interface."""
 
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from shlex import quote
-from types import ModuleType
 from typing import Any
 
-from agent.cli.terminal.output import print_json, print_table, show
+from agent.cli.terminal.output import print_table, show
 from agent.text import interval, number, short_time, with_sd
 
 Document = Mapping[str, Any]
@@ -43,15 +42,6 @@ def print_demo(document: Document) -> None:
     _print_queries(document)
 
 
-def print_paper(document: Document, body: ModuleType) -> None:
-    """Print the paper's tables as the module that computed them lays them out, else the document itself."""
-    table = getattr(body, "table", None)
-    if table is None:
-        print_json(document)
-    else:
-        show(table(document))
-
-
 def _span(run: Document) -> str:
     parts = [f"{number(run.get('span_s'))} s of samples"]
     if run.get("samples_per_s"):
@@ -71,7 +61,7 @@ def _print_estimates(run: Document) -> None:
     rows = (
         (
             name,
-            _pair(found.get("value"), found.get("sd")),
+            with_sd(found.get("value"), found.get("sd")),
             found.get("unit") or "",
             interval(found.get("lower"), found.get("upper")),
             number(found.get("delta"), 4),
@@ -89,7 +79,7 @@ def _print_segment(segment: Document, units: Mapping[str, str]) -> None:
         (
             name,
             number(found.get("true")),
-            _pair(found.get("estimate"), found.get("sd")),
+            with_sd(found.get("estimate"), found.get("sd")),
             units.get(name, ""),
             number(found.get("bound_sd"), 3),
             _signed(found.get("error_sd")),
@@ -177,10 +167,6 @@ def verdict(row: Document) -> str:
     if row.get("held") is not None:
         words += f", held {number(row['held'])} since {number(row.get('held_age_s'), 3)} s"
     return words
-
-
-def _pair(value: float | None, sd: float | None) -> str:
-    return with_sd(float("nan") if value is None else value, float("nan") if sd is None else sd)
 
 
 def _signed(value: float | None) -> str:

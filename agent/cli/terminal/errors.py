@@ -2,7 +2,7 @@
 
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from agent.cli.terminal.logs import set_up_logging
-from agent.cli.terminal.output import print_faults
+from agent.cli.terminal.output import fault_of, print_faults
 from agent.cli.terminal.signals import INTERRUPTED, interrupted
 from agent.cli.terminal.streams import ReaderGoneError, guarded_streams
 from agent.errors import Fault, UsageError
@@ -79,6 +79,12 @@ def faults_of(error: Exception) -> tuple[Sequence[Fault], int]:
         return [_usage_fault(error)], USAGE
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return [Fault("unforeseen", what, "run it again with --debug and report the traceback")], 1
+
+
+def report_errors(document: Mapping[str, Any]) -> int:
+    """Print the errors of a command's document on stderr and return the exit code."""
+    print_faults(fault_of(error) for error in document.get("errors") or [])
+    return USAGE
 
 
 def _usage_fault(error: Any) -> Fault:

@@ -135,6 +135,11 @@ def print_faults(faults: Iterable[Fault], *, as_json: bool = False) -> None:
         print_json({"errors": [fault_document(fault) for fault in faults]})
 
 
+def fault_of(document: Mapping[str, Any]) -> Fault:
+    """Return the fault that stands in JSON."""
+    return Fault(*(str(document.get(key) or "") for key in ("path", "message", "advice")))
+
+
 def fault_document(fault: Fault) -> dict[str, str]:
     """Return a fault as it stands in JSON."""
     return {"path": fault.path, "message": fault.message, "advice": fault.advice}

@@ -1,12 +1,13 @@
 """What a terminal shows of `deltak paper`."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
 
-def table(document: dict[str, Any]) -> "RenderableType":
+def table(document: Mapping[str, Any]) -> "RenderableType":
     """Return what a terminal shows of a document."""
     from rich.console import Group
     from rich.text import Text

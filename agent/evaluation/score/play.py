@@ -56,7 +56,7 @@ class Outcome:
         truth: what was played, as in a truth file.
         records: all that was published.
         samples: what reached the estimation.
-        heard: (source, s on its played clock, samples) of every block.
+        arrivals: (source, s on its played clock, samples) of every block.
         health: the ledger of each source at the end.
     """
 
@@ -141,7 +141,7 @@ def _parted(line: str) -> tuple[str, str, str]:
 
 
 def play(bench: Bench, progress: Progress) -> Outcome:
-    """Play a scenario to its end; `progress` is told the share that is done."""
+    """Play a scenario to its end; `progress` is called with the share that is done."""
     config = load(bench.config)
     outcome = Outcome(config)
     now = _Now()

@@ -13,7 +13,7 @@ Report = Callable[[str, float], None]
 
 
 class Expect(BaseModel):
-    """[expect] of a scenario; what it omits is not judged, but that the ledger balances and no row is spoilt.
+    """[expect] of a scenario; what it omits is not tested, but that the ledger balances and no row is spoilt.
 
     Attributes:
         rms_sd, covered_percent, rms_percent: of every parameter's error (most, least, most).
@@ -44,7 +44,7 @@ class Expect(BaseModel):
 
 
 def score(scenarios: Sequence[str], faults: Sequence[str], report: Report) -> dict[str, Any]:
-    """Score scenarios, all that ship if none is named; `report` is told each one's name and the share done.
+    """Score scenarios, all that ship if none is named; `report` is called with each name and the share done.
 
     Raises UsageError, ConfigError, ModelError, and what the simulator raises.
     """

@@ -397,16 +397,12 @@ def test_check_table_tells_what_the_document_holds(deltak: Run, body: Any) -> No
         assert words in out
 
 
-def test_paper_table_is_the_modules_own_else_the_document(
-    deltak: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_paper_table_is_the_modules_own(deltak: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     module = SimpleNamespace(
         paper=lambda **_: {"data": {"product": "exact"}}, table=lambda found: f"as {found['data']}"
     )
     monkeypatch.setattr(agent.evaluation.paper, "paper", module, raising=False)
     assert deltak("paper")[1] == "as {'product': 'exact'}\n"
-    del module.table
-    assert json.loads(deltak("paper")[1]) == {"data": {"product": "exact"}}
 
 
 PLUGIN = (

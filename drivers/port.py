@@ -247,14 +247,14 @@ class Driver(ABC):
         return reports
 
     def keep_capture(self) -> None:  # noqa: B027 - drivers without such a form have nothing to do
-        """Begin to keep what the bus carries, for `take_capture`; only where there is a heard_suffix."""
+        """Begin to keep what the bus carries, for `take_capture`; only where there is a capture_suffix."""
 
     def take_capture(self) -> Capture | None:
         """Return what the bus carried since the last call; None when that was nothing or is not kept."""
         return None
 
     def decode_capture(self, text: bytes, beside: Mapping[str, Any]) -> SampleBlock:
-        """Return what `read` made of this when heard. The driver is not open; its counts go on as they did.
+        """Return what `read` made of this on the bus. The driver is not open; its counts go on as they did.
 
         Raises DriverConfigError.
         """

@@ -107,11 +107,6 @@ class ReconnectingDriver:
         self._fault: str | None = None
         self._events: list[LinkEvent] = []
 
-    @property
-    def faulty(self) -> bool:
-        """Whether the source is lost or stale now."""
-        return self._fault is not None
-
     def retry_in_s(self) -> float:
         """Return the seconds until the next try to open; 0 when open or due."""
         return 0.0 if self.is_open else max(0.0, self._retry_at - self._clock())

@@ -1,4 +1,4 @@
-"""A rig being played: the tape, the clock and the devices of every source, from start to ledger."""
+"""A rig being played: the trajectory, the clock and the devices of every source, from start to ledger."""
 
 import os
 import threading

@@ -92,7 +92,7 @@ def read_header(file: BinaryIO, path: Path) -> RawHeader:
 
 
 def read_blocks(path: Path | str, cut: Callable[[int], object] = lambda _left: None) -> Iterator[SampleBlock]:
-    """Yield the blocks of a file up to the first that is not whole; cut is told how many bytes are left."""
+    """Yield the blocks of a file up to the first that is not whole; cut is called with the bytes left."""
     path = Path(path)
     with path.open("rb") as file:
         read_header(file, path)

@@ -6,10 +6,10 @@ log2asc, python-can and whatever reads such logs read it. What the text cannot c
 line for each piece that one read delivered:
 
     lines, crc        how many lines of the log it is, and the CRC-32 of their bytes
-    arrival_ns        monotonic time of its receipt
-    wall_offset_ns    wall minus monotonic clock at its receipt
-    beside            what the driver adds (drivers/can_candump.py): what of the time stamps is finer than a
-                      microsecond, frames lost before they could be read, that the bus was opened anew
+    arrival_ns        monotonic time when it was received
+    wall_offset_ns    wall minus monotonic clock then
+    beside            what the driver adds (drivers/can/codec/capture.py): what of the time stamps is finer
+                      than a microsecond, frames lost before they could be read, that the bus was opened anew
 
 With the index a replay gives the rows of the live run; without it the log is one like any other.
 """
@@ -64,7 +64,7 @@ def read_header(path: Path) -> RawHeader:
 
 
 def read_pieces(path: Path, cut: Callable[[int], object] = lambda _left: None) -> Iterator[Piece]:
-    """Yield the pieces of a recording up to the first that is not whole; cut is told the bytes left."""
+    """Yield the pieces of a recording up to the first that is not whole; cut is called with the rest."""
     whole = 0
     with path.open("rb") as log, index_of(path).open("rb") as index:
         index.readline()
@@ -108,7 +108,7 @@ class CaptureSegment:
         self._index.write(json.dumps(facts, separators=(",", ":")).encode() + b"\n")
 
     def add(self, block: SampleBlock, capture: Capture | None) -> None:
-        """Append what was heard; the block says when."""
+        """Append what was captured; the block says when."""
         if capture is None:
             return
         text = capture.text()

@@ -1,4 +1,4 @@
-"""Writes event records in a thread of its own, keeps them within bounds and tells what became of each."""
+"""Writes event records in a thread of its own, keeps them within bounds and reports what became of each."""
 
 import logging
 import threading
@@ -119,7 +119,7 @@ class EventWriter:
         return f"{self._folder.folder.name}/{self._facts.rig}-{number:08d}-{kind}-{parameter}{ending}"
 
     def submit(self, job: Job) -> None:
-        """Hand over a record; never blocks. Where too many wait it is lost, counted and told."""
+        """Hand over a record; never blocks. Where too many wait it is lost, counted and reported."""
         with self._condition:
             if len(self._jobs) < MOST_JOBS:
                 self._jobs.append(job)

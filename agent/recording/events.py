@@ -254,7 +254,7 @@ class EventKeeper:
         return recent[0] if recent else usable[-1] if usable else None
 
     def _may_begin(self, now: float) -> bool:
-        """Tell whether one more record may begin this hour; the first that may not is told, once an hour."""
+        """Tell whether one more record may begin this hour; the first that may not is reported."""
         while self._begun and now - self._begun[0] > _HOUR_S:
             self._begun.popleft()
         if len(self._begun) < self._config.store.events.per_hour:

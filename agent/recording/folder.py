@@ -31,7 +31,7 @@ def make_folder(folder: Path) -> None:
 
 
 @dataclass(slots=True)
-class Shelf:
+class SegmentFolder:
     """The numbered files NAME-NNNNNNNN.SUFFIX of one recording, each with its companions, in one folder.
 
     Attributes:

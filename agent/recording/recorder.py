@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from agent.recording import blocks, capture
-from agent.recording.folder import Shelf, make_folder, room
+from agent.recording.folder import SegmentFolder, make_folder, room
 from agent.recording.header import RawHeader
 from agent.storage.database.files import sync_folder
 from drivers.port import Capture, SampleBlock
@@ -43,16 +43,16 @@ class Segment(Protocol):
 
 
 class Recorder:
-    """Records one source: `record` never blocks; a failing or full disk costs recordings, counted and told.
+    """Records one source: `record` never blocks; a failing or full disk costs recordings, counted, reported.
 
     Args:
         folder: made if missing.
         header: what each file says of itself; files are called RIG-SOURCE-NNNNNNNN, RAW or as `suffix` says.
-        suffix: of the text that the driver hears, where it has one; None for its samples.
+        suffix: of the form of what the bus carried, where the driver has one; None for its samples.
         limits: see Limits.
         most: deliveries that wait for the disk at most.
-        tell: told, in the recorder's thread, when recording begins to fail and when it goes on: cause and
-            words.
+        tell: called, in the recorder's thread, when recording begins to fail and when it goes on, with cause
+            and words.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Recorder:
     ) -> None:
         self._header, self._suffix, self._most, self._report = header, suffix, most, tell
         self._limits = limits or Limits()
-        self._shelf = shelf(folder, header, suffix, self._limits)
+        self._segments = segments_of(folder, header, suffix, self._limits)
         self._queue: deque[tuple[SampleBlock, Capture | None]] = deque()
         self._condition = threading.Condition()
         self._stopping = False
@@ -90,7 +90,7 @@ class Recorder:
         return self._thread.is_alive()
 
     def record(self, block: SampleBlock, what: Capture | None = None) -> None:
-        """Hand over a block and what was heard of it; what does not fit is counted as dropped."""
+        """Hand over a block and what the bus carried of it; what does not fit is counted as dropped."""
         with self._condition:
             if len(self._queue) >= self._most:
                 self.dropped += len(block)
@@ -142,7 +142,7 @@ class Recorder:
     def _prune(self) -> None:
         """Delete what is too old or too much; where that fails the disk fills, and `_make_room` says so."""
         try:
-            self._shelf.prune(None if self._segment is None else self._segment.path)
+            self._segments.prune(None if self._segment is None else self._segment.path)
         except OSError as error:
             log.warning("%s: old recordings cannot be deleted: %s", self._header.source, error)
 
@@ -161,14 +161,14 @@ class Recorder:
 
     def _make_room(self) -> None:
         """Delete the oldest files where the disk is nearly full; OSError when that does not help."""
-        folder = self._shelf.folder
+        folder = self._segments.folder
         make_folder(folder)
         writing = None if self._segment is None else self._segment.path
-        old = [path for path in self._shelf.files() if path != writing]
+        old = [path for path in self._segments.files() if path != writing]
         while room(folder) <= 0:
             if not old:
                 raise OSError("the disk is nearly full; what is left is the database's")
-            self._shelf.delete([old.pop(0)])
+            self._segments.delete([old.pop(0)])
 
     def _open(self) -> Segment:
         """Return the open file; a new one when there is none or it has had its time."""
@@ -176,7 +176,7 @@ class Recorder:
             self._segment.sync()
             self._close()
         if self._segment is None:
-            path = self._shelf.next(self._suffix or blocks.SUFFIX)
+            path = self._segments.next(self._suffix or blocks.SUFFIX)
             make = blocks.BlockSegment if self._suffix is None else capture.CaptureSegment
             self._segment = make(path, self._header)
             self._begun_s = time.monotonic()
@@ -189,7 +189,7 @@ class Recorder:
     def _close(self) -> None:
         segment, self._segment = self._segment, None
         if segment is not None:
-            self._shelf.end(segment.path)
+            self._segments.end(segment.path)
             segment.close()
 
     def _abandon(self) -> None:
@@ -214,8 +214,8 @@ class Recorder:
         )
 
 
-def shelf(folder: Path, header: RawHeader, suffix: str | None, limits: Limits) -> Shelf:
+def segments_of(folder: Path, header: RawHeader, suffix: str | None, limits: Limits) -> SegmentFolder:
     """Return where a source's files are; all forms count as one recording, so none outlives its bounds."""
     suffixes = (blocks.SUFFIX,) if suffix is None else (blocks.SUFFIX, suffix)
     name = f"{header.rig}-{header.source}" if header.rig else header.source
-    return Shelf(folder, name, suffixes, (capture.INDEX,), limits.max_bytes, limits.max_age_s)
+    return SegmentFolder(folder, name, suffixes, (capture.INDEX,), limits.max_bytes, limits.max_age_s)

@@ -108,7 +108,7 @@ class RawDriver(OwnRecording):
 
 
 class CaptureDriver(OwnRecording):
-    """Plays what a bus carried: the source's own driver makes samples of it, as it did when it was heard.
+    """Plays what a bus carried: the source's own driver makes samples of it, as it did on the bus.
 
     Args:
         request: its settings say which files.

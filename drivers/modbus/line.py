@@ -2,10 +2,10 @@
 
 Requests go out one at a time, the most urgent first. A unit that does not answer costs the others little:
 once it has failed it is given no longer than its answers used to take, but for now and then, and is asked
-ever more seldom, in the others' pauses; `modbus_units` says what that comes to. A late answer is never taken
-for another's: over TCP its transaction is known to be given up; over RTU, where answers do not say what they
-answer, the unit is left alone for a while and then asked for a number of registers that it owes no answer of.
-Units answer in order, so that with that answer all late ones have come.
+ever more seldom, in the others' pauses; `drivers.modbus.units` says what that comes to. A late answer is
+never taken for another's: over TCP its transaction is known to be given up; over RTU, where answers do not
+say what they answer, the unit is left alone for a while and then asked for a number of registers that it owes
+no answer of. Units answer in order, so that with that answer all late ones have come.
 """
 
 import threading

@@ -49,7 +49,7 @@ class RingReader(Reader):
     behind them.
 
     After a stall reading goes on with the oldest sample that is left; on a link that is too slow for the
-    device, near the newest (see `modbus_pace`).
+    device, near the newest (see `drivers.modbus.pace`).
     """
 
     def __init__(

@@ -51,10 +51,10 @@ class Bench:
 
     Attributes:
         rig: the configuration.
-        tape: what is played.
+        trajectory: what is played.
         clock: how much of it there is by now.
         scenario: its faults and seed.
-        own_tapes: what devices with clocks of their own read, by source.
+        own_trajectories: what devices with clocks of their own read, by source.
     """
 
     rig: RigFile

@@ -45,7 +45,7 @@ class OwnTrajectory(Trajectory):
     """What one device reads of the rig by its own clock, in the same chunks.
 
     Args:
-        tape: the rig's.
+        trajectory: the rig's.
         pace: the device's.
         seed: of the jitter.
 

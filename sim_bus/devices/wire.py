@@ -79,10 +79,10 @@ class WireNumber:
 
 
 class Feed:
-    """One source's samples as bytes: a row a sample, chunk by chunk, kept as long as the tape keeps them.
+    """One source's samples as bytes: a row a sample, in chunks, kept as long as those of the trajectory.
 
     Args:
-        tape: what is played.
+        trajectory: what is played.
         rig: the configuration.
         source: the source whose fields are filled.
         numbers: the fields on the wire.

@@ -15,7 +15,7 @@ import pytest
 from agent.errors import RecordingError
 from agent.recording import capture
 from agent.recording.header import RawHeader
-from agent.recording.recorder import Limits, Recorder, shelf
+from agent.recording.recorder import Limits, Recorder, segments_of
 from agent.recording.source import is_own
 from drivers.can.codec.capture import Keeper, candump_text, captured_frames, interface_name
 from drivers.can.codec.frames import (
@@ -74,7 +74,7 @@ def recorded(folder: Path, pieces: Sequence[Capture]) -> Path:
         values = np.zeros((piece.lines, 1))
         recorder.record(SampleBlock(values, 10**9 + number, None, None, 0, 5), piece)
     recorder.stop(20)
-    (path,) = shelf(folder, HEADER, ".log", Limits()).files()
+    (path,) = segments_of(folder, HEADER, ".log", Limits()).files()
     return path
 
 

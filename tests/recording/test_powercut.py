@@ -12,7 +12,7 @@ import pytest
 
 from agent.recording import capture
 from agent.recording.event_files import read_meta
-from agent.recording.recorder import Limits, shelf
+from agent.recording.recorder import Limits, segments_of
 from tests import peers
 from tests.recording.power_workload import PIECES
 from tests.recording.test_capture_on_can import HEADER, kept, random_frames
@@ -77,7 +77,7 @@ def test_power_cut_leaves_every_acknowledged_event_record_whole(
 
 
 def recorded_pieces(folder: Path) -> list[bytes]:
-    files = shelf(folder, HEADER, ".log", Limits()).files()
+    files = segments_of(folder, HEADER, ".log", Limits()).files()
     own = [path for path in files if capture.index_of(path).exists()]
     return [piece.text for path in own for piece in capture.read_pieces(path)]
 

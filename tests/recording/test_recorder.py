@@ -12,7 +12,7 @@ from agent.errors import RecordingError
 from agent.recording import folder as folders
 from agent.recording.blocks import decode_block, encode_block, read_blocks, read_header
 from agent.recording.header import RawHeader
-from agent.recording.recorder import Limits, Recorder, shelf
+from agent.recording.recorder import Limits, Recorder, segments_of
 from drivers.port import SampleBlock
 
 HEADER = RawHeader(
@@ -42,7 +42,7 @@ def same(one: SampleBlock, two: SampleBlock) -> bool:
 
 
 def segments(folder: Path, header: RawHeader = HEADER) -> list[Path]:
-    return shelf(folder, header, None, Limits()).files()
+    return segments_of(folder, header, None, Limits()).files()
 
 
 def recorded(

@@ -178,10 +178,10 @@ def test_states_of_the_controller_are_reported_and_bus_off_ends_with_the_next_sa
     until(reader, lambda: reader.driver.counts.received == 1)
     for text in (b"sw100000\r", b"sp128000\r", b"e1a\r", b"sb000256\r"):
         quiet.send(text)
-    until(reader, lambda: reader.faulty)
+    until(reader, lambda: reader._fault is not None)
     assert can_link.look(quiet.name) == can_link.Link("can", False, True, "bus-off", 0, 500_000)
     quiet.send(b"sa000000\r" + SAMPLE)
-    until(reader, lambda: not reader.faulty)
+    until(reader, lambda: reader._fault is None)
     events = reader.take_events()
     counts = reader.driver.counts
     reader.close()

@@ -55,7 +55,7 @@ _ADVICE: Final[Mapping[str, str]] = {
     "model_attributes_type": "write it in braces or under a [heading] of its own",
 }
 _FOLLOWING: Final = "default_factory_not_called"
-"""Pydantic's word for a default that rests on a key with a fault of its own, which is told anyway."""
+"""Pydantic's word for a default that rests on a key with a fault of its own, which is reported anyway."""
 _NAME_RULE: Final = 'names are a letter and then at most 63 letters, digits, "_", "." or "-"'
 
 

@@ -63,12 +63,12 @@ def read_table(table: type[T], raw: object, path: str, faults: Faults) -> T:
     """Read one table; note its faults.
 
     A value that could not be read is None in what is returned, whatever its annotation says, so that the
-    rules between values can judge the rest; such a table never leaves this package.
+    rules between values can test the rest; such a table never leaves this package.
     """
     if not isinstance(raw, dict):
         faults.add(path, f"must be a table, not {shown(raw)}")
         needed = {key for key, about in table.model_fields.items() if about.is_required()}
-        return _salvage(table, {}, needed)  # the rest as if the table were empty, so that rules can judge it
+        return _salvage(table, {}, needed)  # the rest as if the table were empty, so that rules can test it
     fields = table.model_fields
     faults.found += [unknown_key(path, key, list(fields)) for key in raw if key not in fields]
     known = {key: _nested(table, key, raw[key], join(path, key), faults) for key in fields if key in raw}

@@ -168,11 +168,11 @@ class SkewMeter:
         for _ in range(MOST_FITS):
             turn = self._turn(resampled(delays), found)
             delays, found = delays + turn.step_s, turn.theta
-            told = turn.converged and bool(np.all(np.isfinite(turn.sd_s)))
-            near = told and bool(np.all(np.abs(turn.step_s) < CLOSE * turn.sd_s))
-            if near or not told:
+            resolved = turn.converged and bool(np.all(np.isfinite(turn.sd_s)))
+            near = resolved and bool(np.all(np.abs(turn.step_s) < CLOSE * turn.sd_s))
+            if near or not resolved:
                 break
-        sure = told and bool(np.all(np.abs(turn.step_s) < turn.sd_s))
+        sure = resolved and bool(np.all(np.abs(turn.step_s) < turn.sd_s))
         return Delays(delays, turn.sd_s, found, sure, turn.misfit)
 
     def _turn(self, v: FloatArray, theta: FloatArray) -> "_Turn":
@@ -193,8 +193,8 @@ class SkewMeter:
         )
         unknowns = len(theta) + g + len(self.model.state_names)
         variance = fit.cost / max(columns[:, :p].size - unknowns, 1)
-        told = np.diag(fit.covariance)[-g:] * variance
-        sd = np.sqrt(np.where(told > 0, told, np.inf))
+        delay_variance = np.diag(fit.covariance)[-g:] * variance
+        sd = np.sqrt(np.where(delay_variance > 0, delay_variance, np.inf))
         motion = (
             float(np.sum(((columns[:, :p] - columns[:, :p].mean(axis=0)) / problem.sigma) ** 2)) - fit.cost
         )

@@ -171,7 +171,7 @@ def costs_of(
 
 
 def _bounded(step: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return a step that takes no parameter farther than half its size; what has none (0) may go anywhere."""
+    """Return a step that takes no parameter further than half its size; what has none (0) may go anywhere."""
     size = np.where(theta != 0, np.abs(theta), np.inf)
     return np.asarray(step / max(1.0, float(np.max(np.abs(step) / (0.5 * size)))))
 

@@ -34,11 +34,11 @@ def hidden(model: MassSpringDamper) -> tuple[tuple[str, ...], tuple[str, ...]]:
     usable = usable_nodes(model, sensing)
     s = model.structure
     nodes = [mass.name for mass in s.masses]
-    told = {name for name, use in zip(nodes, usable.tolist(), strict=True) if use}
+    held = {name for name, use in zip(nodes, usable.tolist(), strict=True) if use}
     for element in (*s.springs, *s.dampers, *s.frictions):
-        if told & set(element.between):
-            told.add(element.name)
-    return tuple(name for name in model.parameters if name not in told), sensing.unseen
+        if held & set(element.between):
+            held.add(element.name)
+    return tuple(name for name in model.parameters if name not in held), sensing.unseen
 
 
 def start(

@@ -44,12 +44,12 @@ SLOWEST = 0.98
 
 @dataclass(frozen=True, slots=True)
 class SeedSettings:
-    """What the seed's estimator is told.
+    """Settings of the seed's estimator.
 
     Attributes:
         period_s: sampling period, s.
         plan: window and hop, samples.
-        enough_sd: (q,) sd above which a window cannot judge a parameter.
+        enough_sd: (q,) sd above which a window resolves no parameter.
         hold: how the input runs between samples; "euler" is the paper's (23).
         gain: (n, p) the observer's K_e, kept in every pass.
         passes: 1 is the method as printed.

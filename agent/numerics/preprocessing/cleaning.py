@@ -45,7 +45,7 @@ WILD = 1e5
 the motion says: no sensor resolves that much, and sums of its square would leave no digit for those that
 come after."""
 CONTEXT = 64
-"""Samples that are kept as they came, to judge the next ones by."""
+"""Samples that are kept as they came, against which the next ones are tested."""
 STEPS = 4.0
 """Nothing below this many steps of the wire is in doubt."""
 
@@ -93,7 +93,7 @@ class Cleaner:
     def restart(self) -> None:
         """Begin a new stretch; its first sample must be complete."""
         c = len(self._step)
-        self._raw = np.zeros((0, c))  # samples given away that what follows is judged by, then what waits
+        self._raw = np.zeros((0, c))  # samples given away, for testing what follows, then what waits
         self._context = 0
         self._marked = np.zeros((0, c), dtype=bool)
         self._spike = np.zeros((0, c), dtype=bool)

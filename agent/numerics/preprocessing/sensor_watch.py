@@ -2,7 +2,7 @@
 
 Judged block by block (counted from the stretch's first sample, so that results do not depend on how the
 stream was cut), by what a channel usually does: a coarse channel that often stays on one step may do so
-longer than a fine one. Where nothing moves nothing is stuck: standstill is no fault. What is judged is in
+longer than a fine one. Where nothing moves nothing is stuck: standstill is no fault. What is tested is in
 `standing` and `rails`.
 """
 

@@ -107,7 +107,7 @@ class Standing:
         learnt = np.minimum(np.minimum(self.still, least), LONGEST * self._window)
         self._longest = np.where(ended, np.maximum(self._longest, learnt), self._longest)
         self._low, self._high = np.where(still, run_low, low), np.where(still, run_high, high)
-        # one that never moved is judged by motion beyond doubt only
+        # one that never moved is tested on motion beyond doubt only
         moving = smooth | lively
         others = np.where(known, moving.sum() - moving, smooth.sum() - smooth) > 0
         self.still = np.where(still, self.still + self._block * others, 0.0)

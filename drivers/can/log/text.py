@@ -1,7 +1,7 @@
 """The text of `candump -L`, many lines at once: those of one shape are one table of characters. Pure: no I/O.
 
 A line of a shape that is not known here, and one that turns out to be wrong, is read by
-`can_frames.candump_row`.
+`drivers.can.codec.frames.candump_row`.
 """
 
 from dataclasses import dataclass

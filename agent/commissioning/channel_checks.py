@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.commissioning.limits import LEVELS
 from agent.config import RigConfig
-from agent.numerics.fitting.constants_asked import STILL
+from agent.numerics.fitting.channel_constants import STILL
 from agent.numerics.preprocessing.noise import ROUND_OFF, sensor_noise
 from agent.runtime.assembly.acquisition_plan import channels_of
 from agent.text import number

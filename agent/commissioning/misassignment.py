@@ -12,7 +12,7 @@ from agent.commissioning.limits import PLAINER, STRETCHES
 from agent.config import RigConfig
 from agent.config.model.tables import Channel
 from agent.errors import Fault
-from agent.numerics.fitting.constants_asked import Asked, ConstantsAsked
+from agent.numerics.fitting.channel_constants import ChannelConstants, WrongConstant
 from agent.numerics.fitting.wiring import Examiner, Finding, Hypothesis
 from agent.numerics.model.holds import straight
 from agent.runtime.assembly.acquisition_plan import channels_of, complete_inputs, stretch_samples
@@ -50,7 +50,7 @@ def findings(
 def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
     """Return the channel whose one constant, left free, explains readings v (N, c), inputs first, and how."""
     examiner = _examiner(config, lambda _done, _all: None)
-    asked = ConstantsAsked(
+    asked = ChannelConstants(
         model=examiner.model, inputs=examiner.inputs, period_s=examiner.period_s, hold=examiner.hold,
         sigma=examiner.sigma, push=examiner.push, scale=examiner.scale, scale_column=examiner.scale_column,
         lower=examiner.lower, complete=examiner.complete,
@@ -68,7 +68,7 @@ def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
     return [row | {"left_before": before, "left_after": first.left}]
 
 
-def _asked_words(asked: Asked, channel: Channel, drives: bool) -> str:
+def _asked_words(asked: WrongConstant, channel: Channel, drives: bool) -> str:
     """Return how a channel is wrong, and what to do about it."""
     name = channel.name
     if asked.kind == "offset":

@@ -1,4 +1,4 @@
-"""How much later one group of channels is read than another, told by the model.
+"""How much later one group of channels is read than another, as the model shows.
 
 Two devices number their samples by themselves, or stamp them after delays of their own. The motion cannot be
 late against the force that causes it, so a delay is one more parameter of the model, to first order

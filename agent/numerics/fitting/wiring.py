@@ -1,4 +1,4 @@
-"""Which channel is wired, signed or scaled wrongly, told by the model: what explains the readings far better?
+"""Which channel is wired, signed or scaled wrongly, by the model: what explains the readings far better?
 
 Each hypothesis mends the readings (two channels exchanged, one turned round, one divided by a factor) and
 fits the model to them; what it leaves of each output is compared, as a share of that output, so that no unit
@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fitting.constants_asked import STILL
+from agent.numerics.fitting.channel_constants import STILL
+from agent.numerics.fitting.channel_scale import factor_of_input, factor_of_output
 from agent.numerics.fitting.fit import Problem, fit_window, sized
-from agent.numerics.fitting.scale_asked import factor_of_input, factor_of_output
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import Hold, Model, discretise
 from agent.numerics.preprocessing.noise import sensor_noise
@@ -186,7 +186,7 @@ class Examiner:
         return bool(np.all(plain.share <= np.maximum(FITS * stated / rms, LEAST_SHARE)))
 
     def _candidates(self, v: FloatArray) -> Iterator[Hypothesis]:
-        """Every exchange, and for each channel signs and factors near what the nominal model asks of it."""
+        """Every exchange, and for each channel signs and factors near what the nominal model suggests."""
         count = v.shape[1]
         if count < 2:
             return  # a single channel has nothing to contradict it
@@ -194,12 +194,12 @@ class Examiner:
             yield Hypothesis("swap", pair)
         for channel in range(count):
             yield Hypothesis("sign", (channel,))
-            asked = self._asked(v, channel)
+            guess = self._scale_guess(v, channel)
             for factor in (f**sign for f in FACTORS for sign in (1, -1)):
-                if asked is None or abs(log(factor) - log(asked)) < REACH:
+                if guess is None or abs(log(factor) - log(guess)) < REACH:
                     yield Hypothesis("scale", (channel,), factor)
 
-    def _asked(self, v: FloatArray, channel: int) -> float | None:
+    def _scale_guess(self, v: FloatArray, channel: int) -> float | None:
         """How many times too large a channel is if the nominal model is right, roughly; None if unclear."""
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         sampled = discretise(self.model.continuous(self.model.nominal), self.period_s, self.hold)

@@ -33,8 +33,8 @@ SMALLEST = {"offset": 0.0, "scale": log(1.03), "delay": 0.25}
 """Least size worth a word: any offset, 3 % (three times the data sheet's sd), a quarter of a sample."""
 
 
-class Asked(NamedTuple):
-    """What a channel is asked to be wrong by.
+class WrongConstant(NamedTuple):
+    """A hypothesis: by what one constant of one channel is wrong.
 
     kind, channel: which constant of which channel, inputs first; size: SI, factor, or s; share: (p,) of each
     output that is left; theta: the model's own parameters.
@@ -53,7 +53,7 @@ class Asked(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ConstantsAsked:
+class ChannelConstants:
     """Leaves each constant of each channel free in turn.
 
     Attributes: those of `wiring.Examiner` of the same names.
@@ -70,7 +70,7 @@ class ConstantsAsked:
     lower: FloatArray
     complete: Callable[[FloatArray, FloatArray], FloatArray]
 
-    def find(self, v: FloatArray) -> tuple[float, Sequence[Asked]]:
+    def find(self, v: FloatArray) -> tuple[float, Sequence[WrongConstant]]:
         """Return what readings v (N, c), inputs first, leave as is, and what explains them, best first."""
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         noise = np.maximum(sensor_noise(y), 1e-12 * np.abs(y).max(axis=0) + 1e-300)
@@ -88,14 +88,14 @@ class ConstantsAsked:
         fits = np.maximum(FITS * noise / rms, TINY)
         if np.all(plain[0] <= fits):
             return before, ()
-        asked = [one for one in self._each(v) if one.kind == "offset" or np.all(one.share <= fits)]
+        tried = [one for one in self._each(v) if one.kind == "offset" or np.all(one.share <= fits)]
         # twice the log likelihood ratio of white residuals whose sds are not known
-        better = [one for one in asked if len(y) * np.sum(np.log(plain[0] / one.share)) > 2 * WIDE]
+        better = [one for one in tried if len(y) * np.sum(np.log(plain[0] / one.share)) > 2 * WIDE]
         better = [one for one in better if 2 * one.left < before]
         better.sort(key=lambda one: one.left)
         return before, tuple(one for one in better if one.left <= NEAR * better[0].left)
 
-    def _each(self, v: FloatArray) -> Iterator[Asked]:
+    def _each(self, v: FloatArray) -> Iterator[WrongConstant]:
         for channel in range(v.shape[1]):
             for attempt in (self._offset, self._scale, self._delay):
                 with np.errstate(all="ignore"):  # what a wrong hypothesis does to a fit is its own affair
@@ -106,19 +106,19 @@ class ConstantsAsked:
                 if one is not None and np.all(np.isfinite(one.share)):
                     yield one
 
-    def _offset(self, v: FloatArray, channel: int) -> Asked | None:
+    def _offset(self, v: FloatArray, channel: int) -> WrongConstant | None:
         share, theta = self._free("bias", v, channel)
-        return Asked("offset", channel, float(theta[-1]), share, theta[:-1])
+        return WrongConstant("offset", channel, float(theta[-1]), share, theta[:-1])
 
-    def _scale(self, v: FloatArray, channel: int) -> Asked | None:
+    def _scale(self, v: FloatArray, channel: int) -> WrongConstant | None:
         share, theta = self._free("gain", v, channel)
         # an input's gain is what it is to be multiplied by, an output's what it was multiplied by
         factor = float(1.0 / theta[-1] if channel < self.inputs else theta[-1])
         if not factor > 0 or abs(log(factor)) < SMALLEST["scale"]:
             return None
-        return Asked("scale", channel, factor, share, theta[:-1])
+        return WrongConstant("scale", channel, factor, share, theta[:-1])
 
-    def _delay(self, v: FloatArray, channel: int) -> Asked | None:
+    def _delay(self, v: FloatArray, channel: int) -> WrongConstant | None:
         y = v[:, self.inputs :]
         group = Group((channel,), ()) if channel < self.inputs else Group((), (channel - self.inputs,))
         meter = SkewMeter(
@@ -140,7 +140,7 @@ class ConstantsAsked:
         if not found.sure or abs(late) / self.period_s < SMALLEST["delay"]:
             return None
         share = self._fitted_columns(resampled(found.delay_s), found.theta)
-        return Asked("delay", channel, late, share, found.theta)
+        return WrongConstant("delay", channel, late, share, found.theta)
 
     def _noise(self, y: FloatArray) -> FloatArray:
         """(p,) what residuals are weighed by: no output more than a thousand times its size."""
@@ -156,8 +156,8 @@ class ConstantsAsked:
         known = self.model.nuisances if isinstance(self.model, SensedModel) else ()
         if any((n.kind, n.side, n.number) == (kind, side, number) for n in known):
             raise ValueError("it is estimated already")
-        asked = Nuisance(f"asked {kind}", kind, side, number)  # type: ignore[arg-type]
-        model = SensedModel(inner, (*known, asked))
+        freed = Nuisance(f"freed {kind}", kind, side, number)  # type: ignore[arg-type]
+        model = SensedModel(inner, (*known, freed))
         size = 1.0 if kind == "gain" else max(float(np.std(v[:, channel])), 1e-300)
         u = with_constant(self.complete(y, u), model.continuous(model.nominal).m)
         scale, lower = np.append(self.scale, size), np.append(self.lower, -np.inf)

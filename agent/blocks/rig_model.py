@@ -4,13 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.blocks.domains.model import descriptor_model
 from agent.config import RigConfig
-from agent.config.domains.plant import Domain
+from agent.config.domains.plant import Domain, Term
 from agent.config.model.linear import LinearModel
 from agent.config.model.parameters import Parameter
-from agent.config.model.tables import MechanicsModel
-from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
+from agent.config.model.tables import Channel, MechanicsModel
+from agent.numerics.model.elements.descriptor import LETTERS, DescriptorModel, Size, Terms, with_forces
 from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel
@@ -55,7 +54,7 @@ def rig_model(config: RigConfig) -> RigModel:
 def _physical(config: RigConfig, names: tuple[str, ...]) -> Model:
     """Return the model without the constants of its sensors."""
     if isinstance(config.model, Domain):
-        return descriptor_model(config, config.model, names)
+        return _descriptor(config, config.model, names)
     return _mechanics(config, names) if isinstance(config.model, MechanicsModel) else _linear(config, names)
 
 
@@ -120,6 +119,35 @@ def _linear(config: RigConfig, names: tuple[str, ...]) -> AffineModel:
     at_nominal = StateSpace(**matrices, **changes, is_sampled=table.time == "discrete")
     nominal = np.array([row.nominal for row in chosen], dtype=float)
     return AffineModel(names, nominal, at_nominal, table.state_names)
+
+
+def _descriptor(config: RigConfig, table: Domain, names: tuple[str, ...]) -> DescriptorModel:
+    """Build the model of a template of another domain between the rig's channels."""
+    plant = table.plant(frozenset(channel.quantity for channel in config.channel))
+    constants = tuple(part.name for part in plant.parts)
+    chosen = [_term(term, constants) for term in plant.terms(_places(config.inputs), _places(config.outputs))]
+    matrix, row, column, coefficient, powers = (np.array(cells) for cells in zip(*chosen, strict=True))
+    return DescriptorModel(
+        constants=constants,
+        values=np.array([part.nominal for part in plant.parts], dtype=float),
+        parameters=names,
+        terms=Terms(matrix, row, column, coefficient, powers.astype(float)),
+        size=Size(len(plant.states), len(config.inputs), len(config.outputs)),
+        state_names=tuple(state.name for state in plant.states),
+        pushes=tuple((plant.states[i].name, plant.states[i].push) for i in plant.pushed),
+        places=plant.pushed,
+    )
+
+
+def _places(channels: tuple[Channel, ...]) -> list[tuple[str, str]]:
+    return [(channel.quantity, channel.at) for channel in channels]
+
+
+def _term(term: Term, constants: tuple[str, ...]) -> tuple[int, int, int, float, list[int]]:
+    powers = [0] * len(constants)
+    for name, power in term.powers:
+        powers[constants.index(name)] += power
+    return LETTERS.index(term.matrix), term.row, term.column, term.coefficient, powers
 
 
 def _filled(matrix: tuple[tuple[float, ...], ...], shape: tuple[int, int]) -> FloatArray:

@@ -80,7 +80,7 @@ def reestimate(
     json: Json = False,
 ) -> None:
     """Estimate archives of raw recordings again under another model, window or version, rigs side by side."""
-    from agent.cli.reestimation import command as commands_reestimate
+    from agent.cli.tables import reestimate as commands_reestimate
     from agent.runtime.reestimation.reestimate import Wanted
 
     document = commands_reestimate.reestimate(Wanted(archives, config, db, scheduler, workers))

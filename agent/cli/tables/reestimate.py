@@ -1,4 +1,4 @@
-"""`deltak reestimate`: archives estimated again, with progress, tables and an exit code."""
+"""`deltak reestimate`: archives estimated again, with progress, and tables of what was found."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,1 +1,0 @@
-"""`deltak reestimate`."""

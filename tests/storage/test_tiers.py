@@ -79,11 +79,27 @@ def test_minute_of_overlapping_windows_claims_no_more_than_independent_ones() ->
         n = round(60 / step_s)
         t_ns = (np.arange(n) * step_s * 1e9).astype(np.int64)
         plain = [np.full(n, c) for c in (1, 256, 25.0, 0.1, 0.25, 250, 0, 0.1, 1, 1, 25.0, 25.0, 256)]
-        return float(grouped([t_ns, *plain], MINUTE, 0).sd[0])
+        found = grouped([t_ns, *plain], MINUTE, 0, 0)
+        assert found is not None
+        return float(found.sd[0])
 
     assert claim(0.05) == pytest.approx(claim(0.25), rel=0.01)
     assert claim(1.0) == pytest.approx(0.1 / np.sqrt(60))
     assert claim(0.25) == pytest.approx(0.1 / np.sqrt(240))
+
+
+@pytest.mark.parametrize("chunk", [60, 97])
+def test_aggregates_do_not_depend_on_when_rows_were_written(path: Path, chunk: int) -> None:
+    """Windows of 250 s, a row every 10 s: each row but the run's first says little that is new."""
+    (rows,) = spaced(5400, 10)
+    rows = replace(rows, window_s=np.full_like(rows.sd, 250.0))
+    pieces = [rows.part(slice(i, i + chunk)) for i in range(0, len(rows), chunk)]
+    fill(path, [rows], Retention())
+    fill(path.with_name("pieces.db"), pieces, Retention())
+    query = "SELECT t_ns, span_s, parameter, value, sd FROM v_tiers WHERE span_s > 0 ORDER BY 1, 2, 3"
+    whole = select(path, query)
+    assert len(whole) == 4 * (90 + 2)
+    assert select(path.with_name("pieces.db"), query) == whole
 
 
 def test_what_the_constants_leave_open_is_not_averaged_away(path: Path) -> None:

@@ -63,15 +63,16 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off = _off(constants)
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     others = []
-    for name, e, drifts, size, walk in off:
+    for name, e, size, walks in off:
         # a force that is held says nothing of how well all else is known
         beside = healthy if e @ held else healthy[:1]
-        share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside)
+        share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside) / len(walks)
         others += [
             Hypothesis(
-                name, e, drifts, b.covariance + size**2 * np.outer(e, e), b.walk + walk**2 * np.outer(e, e),
+                name, e, walk > 0, b.covariance + size**2 * np.outer(e, e), b.walk + walk**2 * np.outer(e, e),
                 share,
             )
+            for walk in walks
             for b in beside
         ]  # fmt: skip
     return tuple(healthy + others)
@@ -93,9 +94,9 @@ def _least(sheet: FloatArray) -> FloatArray:
     return np.diag(np.where(sheet > 0, 0.0, 1e-12))
 
 
-def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, bool, float, float]]:
-    """(name, members, drifts, prior sd, walk) of everything that may be off."""
-    out: list[tuple[str, FloatArray, bool, float, float]] = []
+def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, float, tuple[float, ...]]]:
+    """(name, members, prior sd, walks a window) of everything that may be off; walks of 0: it stays."""
+    out: list[tuple[str, FloatArray, float, tuple[float, ...]]] = []
     single = [
         (c.name, np.eye(len(constants))[i], c.kind)
         for i, c in enumerate(constants)
@@ -107,9 +108,9 @@ def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, bool, f
             single.append((name, together, kind))
     for name, members, kind in single:
         size = tuning.OFF_DELAY if kind == "delay" else tuning.OFF_RELATIVE
-        out.append((name, members, False, size, 0.0))
+        out.append((name, members, size, (0.0,)))
         if kind in ("output", "input"):
-            out.append((name, members, True, size, tuning.DRIFT_WALK))
+            out.append((name, members, size, tuning.DRIFT_WALKS))
     return out
 
 

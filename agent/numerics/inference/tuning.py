@@ -53,8 +53,8 @@ OFF_RELATIVE = 0.3
 """Prior sd of a mass or gain that is "off". Needed by: m2 −20 %."""
 OFF_DELAY = 1.0
 """Prior sd of a delay that is "off", samples. Needed by: held but hold = "first" (half a sample)."""
-DRIFT_WALK = 0.005
-"""Random walk a window of a gain that "drifts". Needed by: sensor y1 drifting 5 %."""
+DRIFT_WALKS = (0.0007, 0.005)
+"""Random walks a window of a gain that "drifts", slowly or fast. Needed by: sensor y1 drifting 5 %."""
 DRIFT_FOLLOWED = 0.2
 """Probability of any drift from which every window is learnt from. Needed by: sensor y1 drifting 5 %."""
 QUIET_WALK = 1e-4

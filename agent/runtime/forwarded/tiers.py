@@ -77,6 +77,7 @@ class History:
         self.rig, self._most = rig, most
         self._rows: list[Piece] = []
         self._minutes: list[Piece] = []
+        self._last: Piece | None = None
         self._instants = 0
         self._newest: dict[str, tuple[int, str, float]] = {}
         self._spans: dict[int, tuple[int, int]] = {}
@@ -92,7 +93,8 @@ class History:
         self.window_s = max(self.window_s, float(np.nanmax(np.append(piece.window_s, 0.0))))
         self._note(piece)
         self._rows = [] if self._instants > self._most else [*self._rows, piece]
-        self._minutes.append(_minutes(piece))
+        self._minutes.append(_minutes(piece, self._last))
+        self._last = _newest(piece)
 
     def _note(self, piece: Piece) -> None:
         """Keep what the newest row of each parameter counts from, and from when to when each run goes."""
@@ -131,7 +133,7 @@ class History:
         minutes = joined(self._minutes)
         if len(np.unique(minutes.t_ns)) <= self._most:
             return minutes, MINUTE
-        hours = _aggregated(_ordered(minutes), HOUR, MINUTE)
+        hours = _aggregated(_ordered(minutes), HOUR, MINUTE, int(minutes.t_ns.min()))
         each = -(-len(np.unique(hours.t_ns)) // self._most)
         return hours.at(hours.t_ns // (HOUR * SECOND) % each == 0), HOUR
 
@@ -153,14 +155,20 @@ def _valid(rows: Piece) -> NDArray[np.bool_]:
     return found
 
 
-def _minutes(piece: Piece) -> Piece:
-    """Return a day's rows as minutes; aggregated hour by hour, as a database does it."""
-    hours = piece.t_ns // (HOUR * SECOND)
-    return joined(_aggregated(piece.at(hours == hour), MINUTE, 0) for hour in np.unique(hours))
+def _newest(rows: Piece) -> Piece:
+    """Return the newest row of each run, parameter and reference; rows are in their order."""
+    series = _numbered(rows)
+    return rows.at(np.append(series[1:] != series[:-1], True))
 
 
-def _aggregated(rows: Piece, span: int, source: int) -> Piece:
-    """Return periods of rows sorted by series and time, those with a valid row."""
+def _minutes(piece: Piece, before: Piece | None) -> Piece:
+    """Return a day's rows as minutes; before: the newest of the day before, which windows reach back to."""
+    rows = piece if before is None else _ordered(joined([before, piece]))
+    return _aggregated(rows, MINUTE, 0, int(piece.t_ns.min()))
+
+
+def _aggregated(rows: Piece, span: int, source: int, first_ns: int) -> Piece:
+    """Return periods, those with a valid row, of rows from first_ns on, sorted by series and time."""
     series = _numbered(rows)
     valid = _valid(rows)
     none = np.zeros(len(rows), dtype=np.int64)
@@ -169,8 +177,9 @@ def _aggregated(rows: Piece, span: int, source: int) -> Piece:
     repeat = np.where(np.isnan(rows.sd_repeat), rows.sd, rows.sd_repeat)
     groups = grouped(
         [rows.t_ns, series, verdict, rows.value, rows.sd, window, none, none, repeat, none + 1, valid,
-         rows.value, rows.value, verdict], span, source,
+         rows.value, rows.value, verdict], span, source, first_ns,
     )  # fmt: skip
+    assert groups is not None  # noqa: S101 - at least one row is not before the first
     return _periods(rows, groups, series)
 
 

@@ -32,7 +32,9 @@ _FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesc
  coalesce(e.sd * e.repeat * 1e-4, e.sd)
  FROM hops h CROSS JOIN estimates e ON e.seq BETWEEN h.seq * 1024 AND h.seq * 1024 + 1023
  CROSS JOIN fits f ON f.seq = e.fit_id
- WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ? AND f.chosen = 1"""
+ WHERE h.run_id = ?1 AND h.span = ?2 AND h.t_ns < ?4 AND f.chosen = 1
+ AND h.t_ns >= coalesce((SELECT max(t_ns) FROM hops WHERE run_id = ?1 AND span = ?2 AND t_ns < ?3), ?3)"""
+"""With the rows just before the first: how much of a window is new depends on them."""
 
 _MINUTE_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0), f.n_used,
  f.n_missing, coalesce(e.sd * e.repeat * 1e-4, e.sd), p.n, p.n_valid, p.low, p.high, p.worst_id
@@ -85,16 +87,23 @@ def aggregate(
         value = rows["value"]
         verdict = rows["verdict"]
         columns += [np.ones(len(rows)), verdict == _VALID, value, value, verdict]
-    return grouped(columns, span, source)
+    return grouped(columns, span, source, first_ns)
 
 
-def grouped(columns: Sequence[ArrayLike], span: int, source: int) -> Groups:
+def grouped(columns: Sequence[ArrayLike], span: int, source: int, first_ns: int) -> Groups | None:
     """Aggregate rows to periods.
 
     columns: t_ns, series, verdict, value, sd, window_s, n_used, n_missing, sd_repeat, n, n_valid, low, high,
     worst. The rows are in order of series, then time. span, source: lengths of the new periods and of the
-    rows' own, s.
+    rows' own, s. first_ns: rows before it belong to no period; they only show what of a later window is new.
+    None where there are no others.
     """
+    share = _new_share(np.asarray(columns[0]), np.asarray(columns[1]), np.asarray(columns[5]), source)
+    counted = np.asarray(columns[0]) >= first_ns
+    if not counted.any():
+        return None
+    columns = [np.asarray(column)[counted] for column in columns]
+    share = share[counted]
     t_ns, series, verdict = (np.array(c, dtype=np.int64) for c in columns[:3])
     value, sd, window = (np.array(c, dtype=np.float64) for c in columns[3:6])
     sd_repeat, low, high = (np.array(columns[place], dtype=np.float64) for place in (8, 11, 12))
@@ -104,7 +113,6 @@ def grouped(columns: Sequence[ArrayLike], span: int, source: int) -> Groups:
     period = (t_ns // (span * SECOND)) * (span * SECOND)
     starts = np.flatnonzero(np.r_[True, (series[1:] != series[:-1]) | (period[1:] != period[:-1])])
     valid = (verdict == _VALID) & np.isfinite(value) & np.isfinite(sd)
-    share = _new_share(t_ns, series, window, source)
     mean, mean_repeat = _weighted(value, sd_repeat, share, valid, starts)
     with np.errstate(invalid="ignore"):
         common = np.sqrt(np.maximum(sd**2 - sd_repeat**2, 0.0))

@@ -62,7 +62,7 @@ def test_constants_switch_and_walk_from_window_to_window() -> None:
     assert 1 - later.weight[0] == pytest.approx(tuning.SWITCH * (1 - prior.weight[0]))
     drifting = next(i for i, h in enumerate(prior.hypotheses) if h.drifts and h.name == "x1")
     grown = later.covariance[drifting, 2, 2] - sure.covariance[drifting, 2, 2]
-    assert grown == pytest.approx(tuning.DRIFT_WALK**2, rel=1e-3)
+    assert grown == pytest.approx(tuning.DRIFT_WALKS[0] ** 2, rel=1e-3)
 
 
 def test_constants_some_windows_later_are_what_as_many_steps_make_them() -> None:
@@ -113,3 +113,16 @@ def test_constants_update_by_information_that_drowns_the_prior_leaves_no_negativ
         size = np.einsum("hii->h", known.covariance)
         assert (np.linalg.eigvalsh(known.covariance)[:, 0] > -1e-13 * size).all()
         assert np.isfinite(known.weight).all()
+
+
+def test_gain_that_creeps_is_said_to_drift() -> None:
+    """By a twentieth of a percent a window, less than a data sheet's sd in all: no window shows it alone."""
+    rng = np.random.default_rng(3)
+    sd = np.array([2e-3, 2e-3, 4e-4])
+    known = Constants.prior(hypotheses_of(CONSTANTS))
+    for window in range(20):
+        known = known.predicted()
+        found = np.array([0.0, 0.0, 5e-4 * window]) + sd * rng.standard_normal(3)
+        known = known.updated(np.diag(sd**-2.0), found / sd**2, np.zeros(3))
+    assert known.drift_probability > 0.9
+    assert known.expected[2] == pytest.approx(5e-4 * window, abs=1e-3)

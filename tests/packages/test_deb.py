@@ -25,6 +25,13 @@ from importlib.metadata import distributions
 print(json.dumps({"packages": {d.name: d.version for d in distributions()}, "agent": agent.__file__,
     "path": sys.path}))
 """
+PLUG_IN = {
+    "greeting.py": "def greet() -> None:\n    \"\"\"Greet.\"\"\"\n    print('hello')\n",
+    "greeting-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: greeting\nVersion: 1.0\n",
+    "greeting-1.0.dist-info/entry_points.txt": "[deltak.commands]\ngreet = greeting:greet\n",
+    "agent/__init__.py": "raise ImportError('of another')\n",
+}
+"""A command of another distribution, which also brings a package called like one of deltak's."""
 
 
 def rows(root: Path) -> int:
@@ -39,6 +46,7 @@ def about(root: Path, name: str) -> dict[str, Any]:
         "current": (home / "current").readlink().name if (home / "current").is_symlink() else None,
         "releases": sorted(path.name for path in (home / "releases").glob("*")),
         "version": chroot.run(root, "deltak --version", check=False).stdout.strip(),
+        "plugged in": chroot.run(root, "deltak greet", check=False).stdout.strip(),
         "rows": rows(root) if (root / DB[1:]).exists() else None,
         "configuration": (root / "etc/deltak/conf.d/rig.toml").exists(), "step": name,
     }  # fmt: skip
@@ -55,6 +63,8 @@ def lived(dists: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -
     found["whole"] = chroot.run(root, "dpkg --verify deltak").stdout
     python = f"/opt/deltak/releases/{OLD}/bin/python"
     found["installed"] = json.loads(chroot.run(root, f"{python} -I -c '{INSTALLED}'").stdout)
+    for name, text in PLUG_IN.items():
+        chroot.write(root, f"/opt/deltak/plugins/{name}", text)
     found["user"] = chroot.run(root, "id deltak; stat -c '%U %G %a' /var/lib/deltak").stdout
     found["documents"] = {
         path.name: path.read_bytes() for path in (root / "usr/share/doc/deltak").glob("*.*")
@@ -141,12 +151,13 @@ def test_other_version_takes_over_with_data_and_configuration_and_the_former_one
     assert (found["version"], found["current"]) == (f"deltak {version}", version)
     assert set(found["releases"]) == {version, others}
     assert (found["rows"], found["configuration"]) == (lived["first"]["rows"], True)
+    assert found["plugged in"] == lived["first"]["plugged in"] == "hello"
 
 
 def test_removal_leaves_data_and_configuration_and_purge_does_not(lived: Mapping[str, Any]) -> None:
     assert lived["remove"] == {
-        "current": None, "releases": [], "version": "", "rows": lived["first"]["rows"], "configuration": True,
-        "step": "remove",
+        "current": None, "releases": [], "version": "", "plugged in": "", "rows": lived["first"]["rows"],
+        "configuration": True, "step": "remove",
     }  # fmt: skip
     assert (lived["purge"]["rows"], lived["purge"]["configuration"]) == (None, False)
     # the user stays, so that nobody inherits its files

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import sqlite3
+import subprocess
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests import figures
+from tests import figures, peers
 from tests.packages import chroot
 from tests.packages.conftest import NEW, OLD
 
@@ -166,5 +167,10 @@ def test_removal_leaves_data_and_configuration_and_purge_does_not(lived: Mapping
 
 def test_sizes_are_as_the_documents_say(dists: Mapping[str, Path]) -> None:
     (package,) = dists[OLD].glob("*.deb")
-    figures.figure(f"{package.name}: {package.stat().st_size / 1e6:.0f} MB")
-    assert package.stat().st_size < 130e6
+    field = ["dpkg-deb", "--field", str(package), "Installed-Size"]  # in KiB
+    unpacked = int(subprocess.run(field, check=True, capture_output=True, text=True).stdout) * 1024 / 1e6
+    size = package.stat().st_size / 1e6
+    figures.figure(f"{package.name}: {size:.0f} MB, {unpacked:.0f} MB unpacked")
+    said = re.search(r"\((\d+) MB, (\d+) MB unpacked\)", (peers.ROOT / "docs/install.md").read_text())
+    assert said is not None
+    assert [size, unpacked] == pytest.approx([float(words) for words in said.groups()], rel=0.1)

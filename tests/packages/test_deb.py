@@ -27,7 +27,7 @@ print(json.dumps({"packages": {d.name: d.version for d in distributions()}, "age
     "path": sys.path}))
 """
 PLUG_IN = {
-    "greeting.py": "def greet() -> None:\n    \"\"\"Greet.\"\"\"\n    print('hello')\n",
+    "greeting.py": 'def greet() -> None:\n    """Greet."""\n    print(\'hello\')\n',
     "greeting-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: greeting\nVersion: 1.0\n",
     "greeting-1.0.dist-info/entry_points.txt": "[deltak.commands]\ngreet = greeting:greet\n",
     "agent/__init__.py": "raise ImportError('of another')\n",

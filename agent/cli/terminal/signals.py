@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 INTERRUPTED = 130
-RELOADING = "run"
+AGENT = "run"
 """The command that SIGHUP asks to reload, once it can (`agent.runtime.process.requests`)."""
 
 
@@ -39,15 +39,15 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
     raise Terminated
 
 
-def hold_hangup() -> None:
+def hold_reload_signal() -> None:
     """Let a SIGHUP wait from here on, unless a closed terminal may send it: that ends any command."""
     if not os.isatty(0):
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
 
 
-def let_hangup_come(command: str | None) -> None:
+def release_reload_signal(command: str | None) -> None:
     """Let a SIGHUP that was held do to a command what it does at any time; one that reloads asks for it."""
-    if command != RELOADING:
+    if command != AGENT:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
 
 

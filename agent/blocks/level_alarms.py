@@ -23,6 +23,7 @@ import numpy as np
 from agent.alarms.life_cycle import CLEARED, RAISED
 from agent.config.tables import Alarm as AlarmRule
 from agent.numerics.exceedance import Deviations
+from agent.numerics.preprocessing.rows import steps_from
 from agent.text import behind, number, with_sd
 from agent.types import AlarmState, AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray, Status
 
@@ -85,7 +86,7 @@ class LevelAlarms:
             raise ValueError(f"alarms on {', '.join(sorted(missing))}, which the estimates do not carry")
         columns = [batch.parameters.index(rule.parameter) for rule in self._rules]
         assessment = _Assessment(batch, columns, self._up, self._down, self._rules)
-        steps = np.diff(batch.index, prepend=batch.index[0] if self._index is None else self._index)[:, None]
+        steps = steps_from(int(batch.index[0]) if self._index is None else self._index, batch.index)[:, None]
         self._index = int(batch.index[-1])
         due_on = self._due_on(assessment, steps)
         due_off = self._due_off(assessment, steps, np.logical_or.reduce(due_on))

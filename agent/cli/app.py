@@ -22,7 +22,7 @@ from agent.cli.commands import (
     running,
 )
 from agent.cli.group import CommandGroup
-from agent.cli.terminal.signals import done_when_terminated
+from agent.cli.terminal.signals import done_when_terminated, release_reload_signal
 
 SECTIONS = {
     "First steps": first_steps.part,
@@ -66,6 +66,7 @@ def _start(
     _debug: Annotated[bool, typer.Option("--debug", help="Log all, and show tracebacks.")] = False,
 ) -> None:
     """Answer what needs no command; -v and --debug, taken out before, are here for the help."""
+    release_reload_signal(ctx.invoked_subcommand)
     if version:
         sys.stdout.write(f"deltak {__version__}\n")
         raise typer.Exit

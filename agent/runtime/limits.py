@@ -13,8 +13,10 @@ PART = 2_000
 """Samples of one rig that are computed in its turn; where more wait, the other rigs come first."""
 IDLE_S = 0.5
 """A round begins after this where nothing comes."""
-LONGEST_ROUND_S = 5.0
-"""From one round of computing to the next at most, in least times between two (`agent.round_s`)."""
+LONGEST_ROUND = 5.0
+"""From one round of computing to the next at most, in least times between two (`agent.round_s`) ..."""
+LONGEST_ROUND_S = 0.5
+"""... and at most, unless the least time is longer: where many rigs share a processor alarms are no later."""
 HEALTH_PERIOD_NS = 10_000_000_000
 """From one ledger to the next, ns: of the clock while it runs, of samples in a replay."""
 

@@ -194,7 +194,7 @@ class RigRuntime:
         if taken:
             self._note_steps()
             self._emit(self.isolated.compute())
-            for source, arrival in taken:
+            for source, arrival in dict(taken).items():  # the newest of each: counts only grow
                 self._assess(source, arrival, arrival.block.arrival_ns)
 
     def finish(self) -> None:

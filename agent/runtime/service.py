@@ -24,6 +24,7 @@ from agent.runtime.limits import (
     HURRY_S,
     IDLE_S,
     LOG_LINES,
+    LONGEST_ROUND,
     LONGEST_ROUND_S,
     LOOK_S,
     PEER_PATIENCE,
@@ -332,10 +333,10 @@ def _disk_thread(name: str, writer: Recorder | EventWriter) -> Thread:
 def _rest_s(spent_s: float, least_s: float) -> float:
     """Return how long to let blocks gather after a round that took so long: three times as long if allowed.
 
-    least_s: from one round to the next at least; the longest time between two grows and shrinks with it.
+    least_s: from one round to the next at least; the longest time between two shrinks with it.
     """
-    most_s = LONGEST_ROUND_S * least_s
-    return max(0.0, min(most_s, max(least_s, 4 * spent_s)) - spent_s)
+    most_s = min(LONGEST_ROUND * least_s, LONGEST_ROUND_S)
+    return max(0.0, max(least_s, min(most_s, 4 * spent_s)) - spent_s)
 
 
 def _left_s(begun: int, seconds: float) -> float:

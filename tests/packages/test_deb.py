@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import sqlite3
+import subprocess
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests import figures
+from tests import figures, peers
 from tests.packages import chroot
 from tests.packages.conftest import NEW, OLD
 
@@ -25,6 +26,13 @@ from importlib.metadata import distributions
 print(json.dumps({"packages": {d.name: d.version for d in distributions()}, "agent": agent.__file__,
     "path": sys.path}))
 """
+PLUG_IN = {
+    "greeting.py": 'def greet() -> None:\n    """Greet."""\n    print(\'hello\')\n',
+    "greeting-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: greeting\nVersion: 1.0\n",
+    "greeting-1.0.dist-info/entry_points.txt": "[deltak.commands]\ngreet = greeting:greet\n",
+    "agent/__init__.py": "raise ImportError('of another')\n",
+}
+"""A command of another distribution, which also brings a package called like one of deltak's."""
 
 
 def rows(root: Path) -> int:
@@ -39,6 +47,7 @@ def about(root: Path, name: str) -> dict[str, Any]:
         "current": (home / "current").readlink().name if (home / "current").is_symlink() else None,
         "releases": sorted(path.name for path in (home / "releases").glob("*")),
         "version": chroot.run(root, "deltak --version", check=False).stdout.strip(),
+        "plugged in": chroot.run(root, "deltak greet", check=False).stdout.strip(),
         "rows": rows(root) if (root / DB[1:]).exists() else None,
         "configuration": (root / "etc/deltak/conf.d/rig.toml").exists(), "step": name,
     }  # fmt: skip
@@ -55,6 +64,8 @@ def lived(dists: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -
     found["whole"] = chroot.run(root, "dpkg --verify deltak").stdout
     python = f"/opt/deltak/releases/{OLD}/bin/python"
     found["installed"] = json.loads(chroot.run(root, f"{python} -I -c '{INSTALLED}'").stdout)
+    for name, text in PLUG_IN.items():
+        chroot.write(root, f"/opt/deltak/plugins/{name}", text)
     found["user"] = chroot.run(root, "id deltak; stat -c '%U %G %a' /var/lib/deltak").stdout
     found["documents"] = {
         path.name: path.read_bytes() for path in (root / "usr/share/doc/deltak").glob("*.*")
@@ -141,12 +152,13 @@ def test_other_version_takes_over_with_data_and_configuration_and_the_former_one
     assert (found["version"], found["current"]) == (f"deltak {version}", version)
     assert set(found["releases"]) == {version, others}
     assert (found["rows"], found["configuration"]) == (lived["first"]["rows"], True)
+    assert found["plugged in"] == lived["first"]["plugged in"] == "hello"
 
 
 def test_removal_leaves_data_and_configuration_and_purge_does_not(lived: Mapping[str, Any]) -> None:
     assert lived["remove"] == {
-        "current": None, "releases": [], "version": "", "rows": lived["first"]["rows"], "configuration": True,
-        "step": "remove",
+        "current": None, "releases": [], "version": "", "plugged in": "", "rows": lived["first"]["rows"],
+        "configuration": True, "step": "remove",
     }  # fmt: skip
     assert (lived["purge"]["rows"], lived["purge"]["configuration"]) == (None, False)
     # the user stays, so that nobody inherits its files
@@ -155,5 +167,10 @@ def test_removal_leaves_data_and_configuration_and_purge_does_not(lived: Mapping
 
 def test_sizes_are_as_the_documents_say(dists: Mapping[str, Path]) -> None:
     (package,) = dists[OLD].glob("*.deb")
-    figures.figure(f"{package.name}: {package.stat().st_size / 1e6:.0f} MB")
-    assert package.stat().st_size < 130e6
+    field = ["dpkg-deb", "--field", str(package), "Installed-Size"]  # in KiB
+    unpacked = int(subprocess.run(field, check=True, capture_output=True, text=True).stdout) * 1024 / 1e6
+    size = package.stat().st_size / 1e6
+    figures.figure(f"{package.name}: {size:.0f} MB, {unpacked:.0f} MB unpacked")
+    said = re.search(r"\((\d+) MB, (\d+) MB unpacked\)", (peers.ROOT / "docs/install.md").read_text())
+    assert said is not None
+    assert [size, unpacked] == pytest.approx([float(words) for words in said.groups()], rel=0.1)

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import os
 import re
 import sqlite3
 import stat
@@ -155,6 +156,19 @@ def test_interruption_takes_the_switch_back(tmp_path: Path, db: Path) -> None:
     with pytest.raises(TakenBackError, match="KeyboardInterrupt"):
         upgrade(switch, [db])
     assert switch.releases.current == "1.0.0"
+
+
+def test_power_cut_while_rows_are_waited_for_leaves_the_new_version_and_the_copies(
+    tmp_path: Path, db: Path
+) -> None:
+    switch, _ = prepared(tmp_path, db, "migrate", lambda: os._exit(9))
+    child = os.fork()
+    if child == 0:
+        upgrade(switch, [db])
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    assert switch.releases.current == "2.0.0"
+    assert valid_runs(tmp_path / "rig.db.before-2.0.0") == valid_runs(db) == [1]
 
 
 def test_database_in_use_is_not_copied_and_the_former_version_goes_on(tmp_path: Path, db: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from agent.blocks.acquisition.indexing import Indexer
 from agent.config import RigConfig, driver_class, load
-from agent.runtime.limits import LONGEST_ROUND_S
+from agent.runtime.limits import LONGEST_ROUND, LONGEST_ROUND_S
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.process.requests import Request
 from agent.runtime.service import Service, _rest_s
@@ -71,8 +71,10 @@ def test_rounds_rest_three_times_as_long_as_they_take_where_none_waits_too_long_
     least_s = 0.05
     assert _rest_s(0.0, least_s) == least_s
     assert _rest_s(0.03, least_s) == pytest.approx(0.09)
-    assert _rest_s(0.1, least_s) == pytest.approx(LONGEST_ROUND_S * least_s - 0.1)
+    assert _rest_s(0.1, least_s) == pytest.approx(LONGEST_ROUND * least_s - 0.1)
     assert _rest_s(0.4, least_s) == 0.0
+    assert _rest_s(0.2, least_s=0.2) == pytest.approx(LONGEST_ROUND_S - 0.2)
+    assert _rest_s(0.2, least_s=1.0) == pytest.approx(0.8)
 
 
 def test_signal_amid_a_wait_does_not_wait_for_the_lock_that_the_wait_holds(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 import csv
 import io
+import shutil
 import sqlite3
 import threading
 from contextlib import closing
@@ -149,6 +150,22 @@ def test_backup_while_the_agent_writes_is_one_sound_state(path: Path, tmp_path: 
     assert counts == sorted(counts)
     assert all(count % 20 == 0 and count >= 2000 for count in counts)
     assert not list(tmp_path.glob("*.part*"))
+
+
+def test_backup_that_is_put_in_place_is_gone_on_from(path: Path, tmp_path: Path) -> None:
+    maintenance.backup(path, tmp_path / "kept")
+    kept = queries.estimates(tmp_path / "kept")
+    with Store.open(path) as store:
+        store.write(store.begin_run(run_info(started_ns=START + 1)), [batch(5, first=5000)])
+    for file in path.parent.glob(f"{path.name}*"):
+        file.rename(tmp_path / f"away-{file.name}")
+    shutil.copy(tmp_path / "kept", path)
+    with Store.open(path) as store:
+        assert store.recovery is None
+        store.write(store.begin_run(run_info(started_ns=START + 2)), [batch(5, first=9000)])
+    rows = queries.estimates(path)
+    assert len(rows) == len(kept) + 20
+    assert [row for row in rows if row["run_id"] == kept[0]["run_id"]] == kept
 
 
 def test_backup_refuses_an_existing_target_and_a_damaged_source(path: Path, tmp_path: Path) -> None:

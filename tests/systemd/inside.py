@@ -275,8 +275,13 @@ def use_opcua() -> bool:
 def live(found: dict[str, object]) -> None:
     """Go through it all and note what is found."""
     begun = time.monotonic()
+    systemctl("start", "--no-block", "deltak")
+    until(lambda: shown("MainPID") != "0", "its process")
+    first = shown("MainPID")
+    systemctl("reload", "deltak", check=False)  # while it imports, before it can take a signal
     systemctl("start", "deltak")  # returns when READY=1 has come
     found["ready_s"] = time.monotonic() - begun
+    found["survives an early reload"] = [shown("MainPID") == first, shown("NRestarts")]
     found["socket at ready"] = Path(f"{DB}.sock").exists()
     until(lambda: len(flows()) == 3, "rows of all three buses")
     found["flows"] = flows()

@@ -50,6 +50,10 @@ def test_start_waits_until_the_rigs_are_set_up_and_databases_are_open(found: dic
     assert found["state"] == ["active", "0", "deltak", "notify"]
 
 
+def test_reload_that_is_asked_for_while_it_starts_ends_nothing(found: dict[str, Any]) -> None:
+    assert found["survives an early reload"] == [True, "0"]
+
+
 def test_no_core_file_is_written_and_hundreds_of_rigs_have_their_threads(found: dict[str, Any]) -> None:
     assert found["limits"] == ["0", "0", "4096"]
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.blocks.acquisition.arrival_count import ArrivalCount
 from agent.blocks.acquisition.tuning import JOIN_S, LEAK, PUNCTUAL_S, RESTART_AFTER_S, WIDEST
+from agent.numerics.preprocessing.rows import steps_from
 from agent.types import BoolArray, IntArray
 from drivers.port import SampleBlock
 
@@ -181,9 +182,9 @@ class Indexer:
         if self.origin.value is None:
             self.origin.value = int(raw[0])
         if self._last is None:
-            steps = np.diff(raw, prepend=np.int64(self.origin.value))
+            steps = steps_from(self.origin.value, raw)
             return np.cumsum(self._shortest(steps))
-        steps = self._shortest(np.diff(raw, prepend=np.int64(self._raw)))
+        steps = self._shortest(steps_from(self._raw, raw))
         steps[0] += self._silent_wraps(int(steps.sum()), arrival_ns)
         index = self._last + np.cumsum(steps)
         leap = int(np.argmax(steps))

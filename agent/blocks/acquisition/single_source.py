@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +19,7 @@ from agent.blocks.acquisition.interface import (
     SourceState,
     Through,
 )
-from agent.numerics.preprocessing.rows import rows_with
+from agent.numerics.preprocessing.rows import rows_with, steps_from
 from agent.types import Aligned, BoolArray, FloatArray, IntArray
 from drivers.port import SampleBlock
 
@@ -103,11 +104,15 @@ def intake(
 
 
 def _to_si(plan: SourcePlan, values: FloatArray) -> FloatArray:
-    scale = np.array([s.scale for s in plan.scales])
-    offset = np.array([s.offset for s in plan.scales])
-    factor = np.array([s.factor for s in plan.scales])
+    scale, offset, factor = _scales(plan.scales)
     with np.errstate(over="ignore"):  # what becomes infinite is refused as too large
         return np.asarray((values * scale + offset) * factor)
+
+
+@lru_cache(maxsize=1024)
+def _scales(scales: tuple[ChannelScale, ...]) -> FloatArray:
+    """Return scale, offset and factor (3, c) of channels, kept: to convert few samples costs less."""
+    return np.array([(s.scale, s.offset, s.factor) for s in scales]).reshape(-1, 3).T.copy()
 
 
 def _refuse_values(state: SourceState, readings: FloatArray, values: FloatArray, bad: BoolArray) -> None:
@@ -124,8 +129,8 @@ def _refuse_values(state: SourceState, readings: FloatArray, values: FloatArray,
 def _count_gaps(state: SourceState, index: IntArray) -> None:
     if not len(index):
         return
-    before = index[0] - 1 if state.newest is None else state.newest
-    steps = np.diff(index, prepend=before)
+    before = int(index[0]) - 1 if state.newest is None else state.newest
+    steps = steps_from(before, index)
     state.gaps += int((steps > 1).sum())
     state.missing += int((steps - 1).sum())
     state.newest = int(index[-1])

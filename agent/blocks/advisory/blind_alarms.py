@@ -16,9 +16,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-import numpy as np
-
 from agent.config.tables import Alarm as AlarmRule
+from agent.numerics.preprocessing.rows import steps_from
 from agent.types import AlarmKind, AlarmTransition, EstimateBatch, Reason, Status
 
 LEAST_S: Final = 60.0
@@ -88,13 +87,14 @@ class BlindAlarms:
         if not self._names or not len(batch):
             return []
         columns = [batch.parameters.index(name) for name in self._names]
-        steps = np.diff(batch.index, prepend=batch.index[0] if self._index is None else self._index)
+        before = int(batch.index[0]) if self._index is None else self._index
         self._index = int(batch.index[-1])
         if not self._groups and (batch.status[:, columns] == Status.VALID).all():
             for watch in self._watches.values():
                 watch.samples.clear()
             return []
         found: list[AlarmTransition] = []
+        steps = steps_from(before, batch.index)
         for row in range(len(batch)):
             found += self._row(batch, row, columns, int(steps[row]), explained=explained)
         return found

@@ -8,9 +8,8 @@ alarm that does not stand is left: rows that are not valid raise nothing.
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
 from agent.config.tables import Alarm as AlarmRule
+from agent.numerics.preprocessing.rows import steps_from
 from agent.types import AlarmState, AlarmTransition, EstimateBatch, Status
 
 REST_S: Final = 10.0
@@ -32,7 +31,7 @@ class RestAlarms:
         if not self._rules or not len(batch):
             return []
         columns = {name: batch.parameters.index(name) for name in self._rules}
-        steps = np.diff(batch.index, prepend=batch.index[0] if self._index is None else self._index)
+        steps = steps_from(int(batch.index[0]) if self._index is None else self._index, batch.index)
         self._index = int(batch.index[-1])
         rows = range(len(batch))
         found = [self._row(name, int(batch.status[row, column]), int(steps[row]), int(batch.t_ns[row]))

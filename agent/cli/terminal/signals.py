@@ -1,8 +1,10 @@
 """SIGTERM: whatever a command is doing, it puts away what it holds and leaves with exit code 0; SIGINT: 130.
 
-Imports nothing that takes time, so that it can stand before all that does.
+SIGHUP waits until the command is known: the agent reloads, and nothing else can. Imports nothing that takes
+time, so that it can stand before all that does.
 """
 
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -10,6 +12,8 @@ from contextlib import contextmanager
 from types import FrameType
 
 INTERRUPTED = 130
+AGENT = "run"
+"""The command that SIGHUP asks to reload, once it can (`agent.runtime.process.requests`)."""
 
 
 class Terminated(BaseException):
@@ -33,6 +37,18 @@ def done_when_terminated() -> Iterator[None]:
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
     raise Terminated
+
+
+def hold_reload_signal() -> None:
+    """Let a SIGHUP wait from here on, unless a closed terminal may send it: that ends any command."""
+    if not os.isatty(0):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+
+
+def release_reload_signal(command: str | None) -> None:
+    """Let a SIGHUP that was held do to a command what it does at any time; one that reloads asks for it."""
+    if command != AGENT:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGHUP})
 
 
 def interrupted() -> int:

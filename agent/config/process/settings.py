@@ -9,7 +9,7 @@ from pydantic import Field
 from agent.config.reading.fields import Table, shown
 from agent.errors import Fault
 
-ROUND_S: Final = 0.1
+ROUND_S: Final = 0.2
 
 
 class Agent(Table):

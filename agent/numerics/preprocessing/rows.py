@@ -1,8 +1,11 @@
-"""Reductions over each sample's few channels: numpy's own, along so short an axis, cost ten times as much."""
+"""Reductions over each sample's few channels: numpy's own, along so short an axis, cost ten times as much.
+
+So do its differences of few samples after one that came before them.
+"""
 
 import numpy as np
 
-from agent.types import BoolArray, FloatArray
+from agent.types import BoolArray, FloatArray, IntArray
 
 
 def rows_with(marks: BoolArray) -> BoolArray:
@@ -21,3 +24,11 @@ def largest_in(v: FloatArray) -> FloatArray:
 def columns_with(marks: BoolArray) -> list[int]:
     """Return the columns of marks (N, c) that hold one."""
     return [number for number, column in enumerate(marks.T) if column.any()]
+
+
+def steps_from(before: int, index: IntArray) -> IntArray:
+    """Return by how much each number (n,) is larger than the one before it, the first than `before`."""
+    steps = index.astype(np.int64)
+    steps[:1] -= before
+    steps[1:] -= index[:-1]
+    return steps

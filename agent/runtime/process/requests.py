@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from queue import SimpleQueue
-from signal import Signals, signal
+from signal import SIG_UNBLOCK, Signals, pthread_sigmask, signal
 from threading import Thread
 from types import FrameType
 
@@ -56,9 +56,10 @@ class Request:
 
 @contextmanager
 def asked_by(number: Signals, name: str) -> Iterator[Request]:
-    """Have a signal be a request inside; nobody is ended by it."""
+    """Have a signal be a request inside; nobody is ended by it. One that was held until now is the first."""
     request = Request(name)
     previous = signal(number, request)
+    pthread_sigmask(SIG_UNBLOCK, {number})
     try:
         yield request
     finally:

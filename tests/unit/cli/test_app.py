@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -262,6 +263,20 @@ def test_interrupt_while_libraries_are_imported_exits_130() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "deltak: interrupted\n")
+
+
+@pytest.mark.parametrize(("command", "code"), [("run", 2), ("check", -signal.SIGHUP)])
+def test_hangup_while_libraries_are_imported_ends_no_agent(command: str, code: int, tmp_path: Path) -> None:
+    script = (
+        "import signal, sys\nclass HungUp:\n    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'agent.cli.app':\n            signal.raise_signal(signal.SIGHUP)\n"
+        "sys.meta_path.insert(0, HungUp())\nfrom agent.cli.entry import main\nmain()\n"
+    )
+    words = [command, str(tmp_path / "none.toml")]
+    asked = [sys.executable, "-c", script, *words]
+    done = subprocess.run(asked, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert ("none.toml: cannot be read" in done.stderr) == (command == "run")  # which went on
 
 
 def test_reader_that_leaves_early_is_no_error() -> None:

@@ -17,10 +17,17 @@ def row_products(left: FloatArray, right: FloatArray) -> FloatArray:
     count = len(rows)
     whole = count - count % ROWS
     if whole == count:
-        return np.asarray((rows @ right).reshape(*left.shape[:-1], right.shape[1]))
-    products = np.empty((count, right.shape[1]))
-    np.matmul(rows[:whole], right, out=products[:whole])
-    last = np.zeros((ROWS, rows.shape[1]))
-    last[: count - whole] = rows[whole:]
-    products[whole:] = (last @ right)[: count - whole]
-    return products.reshape(*left.shape[:-1], right.shape[1])
+        products = rows @ right
+    elif not whole:  # as nearly always while an agent runs
+        products = _filled_up(rows) @ right
+    else:
+        products = np.empty((count, right.shape[1]))
+        np.matmul(rows[:whole], right, out=products[:whole])
+        products[whole:] = (_filled_up(rows[whole:]) @ right)[: count - whole]
+    return np.asarray(products[:count].reshape(*left.shape[:-1], right.shape[1]))
+
+
+def _filled_up(rows: FloatArray) -> FloatArray:
+    filled = np.zeros((ROWS, rows.shape[1]))
+    filled[: len(rows)] = rows
+    return filled

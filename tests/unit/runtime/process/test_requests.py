@@ -48,6 +48,16 @@ def test_storm_of_signals_while_one_is_acted_upon_is_one_more_request_and_no_thr
     assert act.begun == 3
 
 
+def test_signal_that_was_held_until_somebody_asks_for_it_is_the_first_request() -> None:
+    act = Act()
+    act.goes_on.set()
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    signal.raise_signal(signal.SIGHUP)
+    with asked_by(signal.SIGHUP, "reload") as request:
+        request.begin(act)
+        wait_until(lambda: act.done == 1, "what was held")
+
+
 def test_failure_is_logged_and_the_next_signal_is_acted_upon(caplog: pytest.LogCaptureFixture) -> None:
     act = Act()
     act.fails = True

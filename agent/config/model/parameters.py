@@ -37,7 +37,7 @@ def _linear(model: LinearModel, channels: tuple[Channel, ...]) -> list[Parameter
 
 def _unit(parameter: LinearParameter, model: LinearModel, channels: tuple[Channel, ...]) -> str:
     """Return the unit of an uncertain entry from those of its row and column; "" where these have none."""
-    entry = ENTRY.fullmatch(parameter.name)
+    entry = ENTRY.fullmatch(parameter.name or "")  # None in a draft, where it could not be read
     if entry is None:
         return ""
     states = [state.unit for state in model.state or ()]

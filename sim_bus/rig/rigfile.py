@@ -357,7 +357,7 @@ def read_rig(path: Path) -> RigFile:
     content = read_toml(path)
     if not content.get("source"):
         raise SimUsageError(
-            f"{path}: source: there is no [[source]]; add one for each device that is to be played"
+            f"source: {path} has no [[source]]; add one for each device that is to be played"
         )
     folder = path.resolve().parent
     content = without_covariates(content)

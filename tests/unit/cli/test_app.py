@@ -167,6 +167,7 @@ def test_no_command_prints_the_help_on_stderr_and_exits_2(deltak: Run) -> None:
         ),
         (["alarms", "a.db", "--since", "1d"], "--since", "goes with --stats; add --stats"),
         (["estimates", "a.db", "--json", "--csv"], "--csv", "--json"),
+        (["db"], "db", "missing command; give one of check, repair, compact, backup; see deltak db --help"),
     ],
 )
 def test_usage_error_is_one_line_and_exit_2(deltak: Run, argv: list[str], place: str, words: str) -> None:

@@ -74,7 +74,7 @@ class RecordingError(AgentError):
 
     @classmethod
     def said(cls, words: str, advice: str) -> Self:
-        """Make the error of a driver's words, `FILE[:LINE]: what; what to do`; advice where they give none."""
+        """Make the error of words `FILE[:LINE]: what; what to do`, with this advice where they give none."""
         place, _, rest = words.partition(": ")
         what, _, own = rest.partition("; ")
         return cls.at(place, what, own or advice) if what else cls.at("", words, advice)

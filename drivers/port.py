@@ -178,12 +178,19 @@ class DriverSettings(BaseModel):
     def _of_the_kind_that_it_says(cls, value: object, info: ValidationInfo) -> object:
         """Refuse what pydantic would convert: text or true as a number, a number as true."""
         kinds = _plain_kinds(cls.model_fields[str(info.field_name)].annotation)
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if kinds == {bool}:
+            return _truth(value)
         if kinds <= {int, float, NoneType} and isinstance(value, (str, bool)):
             raise PydanticKnownError("float_type" if float in kinds else "int_type")
-        if kinds == {bool} and (is_number or isinstance(value, str)):
-            raise PydanticKnownError("bool_type")
+        if isinstance(value, str) and "\0" in value:
+            raise ValueError("must not hold a zero byte")
         return value
+
+
+def _truth(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise PydanticKnownError("bool_type")
+    return value
 
 
 def _plain_kinds(annotation: Any) -> set[Any]:

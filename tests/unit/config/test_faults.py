@@ -368,6 +368,7 @@ def test_config_limit_that_is_a_share_of_nothing_is_refused(
     [
         ({"parity": "x"}, 'parity: "x" is none of "N", "E", "O", "M", "S"'),
         ({"port": ""}, "port: must not be empty"),
+        ({"port": "/dev/tty\0S0"}, "port: must not hold a zero byte"),
         ({"baudrate": 1e308}, "baudrate: must be a whole number of at most 64 bits, not 1e+308"),
         ({"baudrate": True}, "baudrate: must be a whole number, not true; write it without quotes"),
         ({"baudrate": "9600"}, 'baudrate: must be a whole number, not "9600"; write it without quotes'),

@@ -73,7 +73,7 @@ class RecordingError(AgentError):
     exit_code = 2
 
     @classmethod
-    def said(cls, words: str, advice: str) -> Self:
+    def of(cls, words: str, advice: str) -> Self:
         """Make the error of words `FILE[:LINE]: what; what to do`, with this advice where they give none."""
         place, _, rest = words.partition(": ")
         what, _, own = rest.partition("; ")

@@ -72,6 +72,13 @@ class RecordingError(AgentError):
 
     exit_code = 2
 
+    @classmethod
+    def of(cls, words: str, advice: str) -> Self:
+        """Make the error of words `FILE[:LINE]: what; what to do`, with this advice where they give none."""
+        place, _, rest = words.partition(": ")
+        what, _, own = rest.partition("; ")
+        return cls.at(place, what, own or advice) if what else cls.at("", words, advice)
+
 
 class StoreError(AgentError):
     """The database is missing, foreign, newer, locked, or lacks what was asked for."""

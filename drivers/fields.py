@@ -6,13 +6,13 @@ A layout is a run of fields without gaps. `Layout.values` reads n slots at once;
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
-from drivers.port import DriverConfigError, FloatArray, IntArray
+from drivers.port import DriverConfigError, DriverSettings, FloatArray, IntArray
 
 ByteArray = NDArray[np.uint8]
 Order = Literal["big", "little"]
@@ -21,15 +21,19 @@ NumberType = Literal[
 ]  # fmt: skip
 
 
-class FieldSpec(BaseModel):
-    """One number in a slot or frame: value = raw * scale + offset."""
+def _not_zero(scale: float) -> float:
+    if scale == 0:
+        raise ValueError("must not be 0: it would make every sample the same")
+    return scale
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+class FieldSpec(DriverSettings):
+    """One number in a slot or frame: value = raw * scale + offset."""
 
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]{0,63}$")
     type: NumberType
-    scale: float = Field(default=1.0, allow_inf_nan=False)
-    offset: float = Field(default=0.0, allow_inf_nan=False)
+    scale: Annotated[float, AfterValidator(_not_zero)] = 1.0
+    offset: float = 0.0
 
     @property
     def dtype(self) -> np.dtype[np.generic]:

@@ -13,11 +13,13 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
+from pydantic_core import PydanticKnownError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -167,9 +169,37 @@ that is reached over a network, and of one whose absence this machine knows by i
 
 
 class DriverSettings(BaseModel):
-    """Base of a driver's own configuration keys; unknown keys are errors."""
+    """Base of a driver's own configuration keys; unknown keys are errors, and text is no number."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _of_the_kind_that_it_says(cls, value: object, info: ValidationInfo) -> object:
+        """Refuse what pydantic would convert: text or true as a number, a number as true."""
+        kinds = _plain_kinds(cls.model_fields[str(info.field_name)].annotation)
+        if kinds == {bool}:
+            return _truth(value)
+        if kinds <= {int, float, NoneType} and isinstance(value, (str, bool)):
+            raise PydanticKnownError("float_type" if float in kinds else "int_type")
+        if isinstance(value, str) and "\0" in value:
+            raise ValueError("must not hold a zero byte")
+        return value
+
+
+def _truth(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise PydanticKnownError("bool_type")
+    return value
+
+
+def _plain_kinds(annotation: Any) -> set[Any]:
+    """Return what an annotation is a choice of, without what qualifies it."""
+    if get_origin(annotation) is Annotated:
+        return _plain_kinds(get_args(annotation)[0])
+    if get_origin(annotation) in {Union, UnionType}:
+        return set().union(*map(_plain_kinds, get_args(annotation)))
+    return {annotation}
 
 
 @dataclass(frozen=True, slots=True)

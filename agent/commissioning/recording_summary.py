@@ -80,4 +80,4 @@ def _read_all(gathering: Gathering, driver: Driver, evidence: Evidence) -> None:
         except EOFError:
             return gathering.finish()
         except DriverError as error:
-            raise RecordingError.at("", str(error), "mend or cut the recording") from error
+            raise RecordingError.of(str(error), "mend or cut the recording") from error

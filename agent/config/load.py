@@ -223,7 +223,8 @@ def _read_columns(raw: object, draft: Draft) -> None:
     for key, value in names.items():
         if not isinstance(value, str) or not value:
             draft.faults.add(join("columns", key), f"must be a column's name in quotes, not {shown(value)}")
-    draft.columns = Columns.model_construct(names=names, delimiter=delimiter and _DELIMITERS[delimiter])
+    named = {key: value for key, value in names.items() if isinstance(value, str)}
+    draft.columns = Columns.model_construct(names=named, delimiter=delimiter and _DELIMITERS[delimiter])
 
 
 def _ordered(faults: list[Fault]) -> list[Fault]:

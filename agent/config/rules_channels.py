@@ -152,11 +152,12 @@ def check_covariates(draft: Draft) -> None:
             draft.faults.add(
                 join(path, "range"), "must rise", "give the lowest value first, such as [-10.0, 40.0]"
             )
-    _check_named(draft, [one.name for _, one in draft.covariates])
+    _check_named(draft, draft.covariate_names)
 
 
 def _check_named(draft: Draft, known: Sequence[str]) -> None:
+    are_known = len(known) == len(draft.covariates)
     for name in draft.baseline.covariates or ():
-        if name not in known:
+        if name not in known and are_known:
             listed = f"covariates are {listing(known)}" if known else 'give a channel role = "covariate"'
             draft.faults.add("baseline.covariates", f"no covariate is called {shown(name)}", listed)

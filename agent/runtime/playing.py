@@ -232,4 +232,4 @@ def _block(track: Track) -> SampleBlock | None:
     except EOFError:
         return None
     except DriverError as error:
-        raise RecordingError.at("", str(error), "mend or cut the recording") from error
+        raise RecordingError.of(str(error), "mend or cut the recording") from error

@@ -205,7 +205,7 @@ def _seen_steps(rig: RigConfig, recording: Driver) -> tuple[float, ...]:
     try:
         steps = recording.resolution()
     except DriverError as error:
-        raise RecordingError.at("", str(error), "mend or cut the recording") from error
+        raise RecordingError.of(str(error), "mend or cut the recording") from error
     inputs = {channel.name for channel in rig.inputs}
     switched = zip(recording.request.fields, steps, recording.switched(), strict=True)
     return tuple(0.0 if held and name in inputs else step for name, step, held in switched)
@@ -232,10 +232,9 @@ def _open(driver: Driver) -> Driver:
     try:
         driver.open()
     except DriverError as error:
-        what, _, advice = str(error).partition("; ")
-        raise RecordingError.at("", what, advice or "see that this is the file that was meant") from error
+        raise RecordingError.of(str(error), "see that this is the file that was meant") from error
     for note in driver.take_notes():
-        log.info("%s", note)
+        log.warning("%s", note)
     return driver
 
 

@@ -247,10 +247,11 @@ def backup(path: Path | str, target: Path | str) -> int:
     return target.stat().st_size
 
 
-_EXPORTED = (
+EXPORTED = (
     "estimates", "alarms", "alarm_events", "health", "runs", "events", "tiers", "event_records", "verdicts",
     "baselines", "forecast", "trend", "covariates",
 )  # fmt: skip
+"""The views that can be written as files, without their v_."""
 
 
 def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[str], Iterator[Sequence[Any]]]:
@@ -259,8 +260,8 @@ def export(path: Path | str, what: str, rig: str | None = None) -> tuple[list[st
     Raises:
         StoreError: the file; UsageError: an unknown view or rig.
     """
-    if what not in _EXPORTED:
-        raise UsageError.at("what", f'there is no view "{what}"', f"views are {', '.join(_EXPORTED)}")
+    if what not in EXPORTED:
+        raise UsageError.at("what", f'there is no view "{what}"', f"views are {', '.join(EXPORTED)}")
     if rig is not None and rig not in queries.rigs(path):
         raise UsageError.at(
             "--rig", f'the database has no rig "{rig}"', f"rigs are {', '.join(queries.rigs(path))}"

@@ -16,6 +16,8 @@ from drivers.port import DriverConfigError, FloatArray
 from drivers.timestamps import seconds_to_ns
 
 _SUFFIX = ".npy"
+_BESIDE = {"index", "counter", "meta"}
+"""What an event record holds beside its readings."""
 _DAMAGE = (ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error)
 """What zipfile and numpy raise for a damaged file; RuntimeError covers unknown compression and encryption."""
 
@@ -87,7 +89,7 @@ class NpzFile(RecordedFile):
         for name in self.names:
             self._wanted.place(name, present)
         time = self._wanted.time_place(present)
-        self._wanted.note_ignored(present)
+        self._wanted.note_ignored([name for name in present if name not in _BESIDE or "meta" not in present])
         self._check_size()
         self._columns = [self._column(name) for name in self.names]
         self._time = None if time is None else self._column(self._wanted.time)

@@ -53,6 +53,8 @@ class Wanted:
         advice = "say under [columns] which of them it is"
         if len(present) == 1:
             advice = "between columns stand commas, semicolons or tabs, and the first line names them"
+        elif name == self.time:
+            advice += ', or rig.clock = "uniform" where rows follow one another at the rig\'s rate'
         raise DriverConfigError(f'{self.path}: no column is called "{name}"; columns are {shown}; {advice}')
 
     def time_place(self, present: list[str]) -> int | None:

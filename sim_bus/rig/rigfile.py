@@ -356,9 +356,7 @@ def read_rig(path: Path) -> RigFile:
     """Read a configuration file."""
     content = read_toml(path)
     if not content.get("source"):
-        raise SimUsageError(
-            f"{path}: source: there is no [[source]]; add one for each device that is to be played"
-        )
+        raise SimUsageError(f"source: {path} has no [[source]]; add one for each device that is to be played")
     folder = path.resolve().parent
     content = without_covariates(content)
     return checked(RigFile, with_numbers(content, folder) | {"folder": folder}, str(path))

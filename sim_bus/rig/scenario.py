@@ -188,7 +188,7 @@ def scenario_path(name_or_file: str, known: Callable[[], Sequence[str]] = built_
         return Path(str(resources.files("sim_bus") / "scenarios" / f"{name_or_file}.toml"))
     if not Path(name_or_file).is_file():
         names = ", ".join(known())
-        raise SimUsageError(f'scenario "{name_or_file}" is neither a file nor one of {names}')
+        raise SimUsageError(f'scenario: "{name_or_file}" is neither a file nor one of {names}')
     return Path(name_or_file)
 
 

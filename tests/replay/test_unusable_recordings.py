@@ -149,3 +149,36 @@ def test_can_log_that_ends_in_damage_is_warned_of() -> None:
     evidence.notes = ["/a.asc: is damaged, its end is not read: ValueError('no')", "/a.asc: is short"]
     words = "/a.asc: is damaged, its end is not read; what stands before that is used"
     assert list(map(str, evidence.damaged())) == [words]
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "what"),
+    [
+        (None, "", "No such file or directory"),
+        ("", "", "is empty"),
+        ("\n", ":1", "is blank"),
+        ("force,x1,x2\n1,2,3\n", "", 'no column is called "t"'),
+    ],
+)
+def test_recording_that_cannot_be_read_is_the_place_of_its_fault(
+    text: str | None, place: str, what: str, tmp_path: Path, config: Path
+) -> None:
+    path = tmp_path / "recording.csv"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    with pytest.raises(RecordingError) as caught:
+        replay(config=config, recordings=[path], db=None)
+    (fault,) = caught.value.faults
+    assert (fault.path, fault.message) == (f"{path}{place}", what)
+    assert fault.advice
+
+
+def test_column_that_no_channel_names_is_noted_once(
+    tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = written(tmp_path, SECONDS, lambda t, v: f"{plain(t, v)},7")
+    path.write_text(path.read_text().replace("x2\n", "x2,oil\n", 1), encoding="utf-8")
+    with caplog.at_level("WARNING"):
+        replay(config=config, recordings=[path], db=None)
+    (note,) = [record.getMessage() for record in caplog.records if "oil" in record.getMessage()]
+    assert note == f"{path}: columns that no channel names are ignored: oil"

@@ -322,7 +322,7 @@ def test_sim_without_a_configuration_says_so() -> None:
         (("--duration", "inf"), "duration"),
         (("--truth", "/no/such/folder/truth.npz"), "/no/such/folder is no folder that can be written to"),
         (("--truth", "/tmp"), "/tmp is a folder"),
-        (("--scenario", "nowhere"), 'scenario "nowhere" is neither a file nor one of'),
+        (("--scenario", "nowhere"), 'scenario: "nowhere" is neither a file nor one of'),
         (("--fault", "modbus.silent@8s", "--duration", "2"), "at 8 s all is over, after 2 s"),
     ],
 )

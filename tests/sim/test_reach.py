@@ -40,4 +40,4 @@ def test_carried_is_what_the_fields_hold_in_the_channels_unit(tmp_path: Path) ->
 def test_sim_configuration_without_a_source_says_so(tmp_path: Path) -> None:
     sim = refused(tmp_path, MODEL.format(rate=1000.0))
     assert sim.code == 2
-    assert "there is no [[source]]; add one for each device" in sim.err
+    assert "has no [[source]]; add one for each device" in sim.err

@@ -243,3 +243,11 @@ def test_plain_connections_of_others_may_read_views_while_a_compaction_waits(pat
     with sqlite3.connect(path) as plain:
         assert plain.execute("SELECT count(*) FROM v_estimates").fetchone() == (2000,)
     plain.close()
+
+
+@pytest.mark.parametrize("what", ["events", "tiers", "trend"])
+def test_export_by_the_command_line_knows_every_view(
+    path: Path, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    commands_db.export(path, what, None, None)
+    assert capsys.readouterr().out.partition("\n")[0].split(",") == maintenance.export(path, what)[0]

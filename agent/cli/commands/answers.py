@@ -124,8 +124,8 @@ def export(
         str,
         typer.Argument(
             metavar="WHAT",
-            help="estimates, alarms, alarm_events, health, runs, event_records, verdicts, baselines, "
-            "forecast, covariates.",
+            help="estimates, alarms, alarm_events, health, runs, events, tiers, event_records, verdicts, "
+            "baselines, forecast, trend, covariates.",
         ),
     ] = "estimates",
     rig: Rig = None,

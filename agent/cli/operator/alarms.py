@@ -123,7 +123,8 @@ def statistics(db: Path, rig: str | None, since: str | None) -> dict[str, Any]:
     oldest = min(
         [_instant(run["started_at"]) for run in runs] + [event["t_ns"] for event in events], default=0
     )
-    first = oldest if since is None else parse_time(since, newest, "--since")
+    # a replay starts long after its rows were
+    first = min(oldest, newest) if since is None else parse_time(since, newest, "--since")
     if first > newest:
         raise UsageError.at("--since", f"{iso_time(first)} is after the newest row", "give an earlier time")
     announced = [

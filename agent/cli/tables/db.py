@@ -11,10 +11,6 @@ from agent.storage import maintenance
 Document = dict[str, Any]
 FORMS = ("", ".csv", ".parquet")
 """Ends of names that can be written; without one it is CSV."""
-EXPORTS = (
-    "estimates", "alarms", "alarm_events", "health", "runs", "event_records", "verdicts", "baselines",
-    "forecast", "covariates",
-)  # fmt: skip
 
 
 def check(db: Path, *, as_json: bool) -> None:
@@ -61,8 +57,8 @@ def backup(db: Path, target: Path, *, as_json: bool) -> None:
 
 def export(db: Path, what: str, rig: str | None, to: Path | None) -> None:
     """Write a view as CSV to stdout or a file, as Parquet where its name ends so. Raises UsageError."""
-    if what not in EXPORTS:
-        raise UsageError.at("WHAT", f'"{what}" cannot be exported', f"{', '.join(EXPORTS)} can")
+    if what not in maintenance.EXPORTED:
+        raise UsageError.at("WHAT", f'"{what}" cannot be exported', f"{', '.join(maintenance.EXPORTED)} can")
     if to is None:
         maintenance.export_csv(db, what, stdout_text(), rig)
         return

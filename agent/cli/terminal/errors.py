@@ -91,6 +91,9 @@ def _usage_fault(error: Any) -> Fault:
     """Return what the option parser found, with the option or the command as its place."""
     context = getattr(error, "ctx", None)
     command = context.command_path if context is not None else "deltak"
-    message = str(error.format_message()).strip().rstrip(".").replace(": Value error, ", ": ")
     place = command.removeprefix("deltak").strip() or "command line"
+    message = str(error.format_message()).strip().rstrip(".").replace(": Value error, ", ": ")
+    if context is not None and message.startswith(f"Usage: {command} "):  # a group alone gives its help
+        names = ", ".join(context.command.list_commands(context))
+        return Fault(place, "missing command", f"give one of {names}; see {command} --help")
     return Fault(place, message[:1].lower() + message[1:], f"see {command} --help")

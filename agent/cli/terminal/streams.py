@@ -24,6 +24,8 @@ class _Output:
         """Write text; what could not be written is thrown away."""
         try:
             return self._stream.write(text)
+        except UnicodeEncodeError as error:  # a terminal that knows fewer characters
+            return self.write(text.encode(error.encoding, "replace").decode(error.encoding))
         except OSError as error:
             self._fail(error)
             return len(text)

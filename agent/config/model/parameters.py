@@ -30,9 +30,8 @@ def parameters_of(model: Model, channels: tuple[Channel, ...]) -> dict[str, Para
 
 
 def _linear(model: LinearModel, channels: tuple[Channel, ...]) -> list[Parameter]:
-    return [
-        Parameter(p.name, "linear", p.nominal, p.unit or _unit(p, model, channels)) for p in model.parameters
-    ]
+    named = [p for p in model.parameters if p.name]  # in a draft a name may be one that could not be read
+    return [Parameter(p.name, "linear", p.nominal, p.unit or _unit(p, model, channels)) for p in named]
 
 
 def _unit(parameter: LinearParameter, model: LinearModel, channels: tuple[Channel, ...]) -> str:

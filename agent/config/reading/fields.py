@@ -98,9 +98,7 @@ def _intensities(value: object) -> float | tuple[float, ...]:
 
 
 def _duration(value: object) -> float:
-    """Read "7d" or "forever" as seconds; a float is one already read."""
-    if isinstance(value, float):
-        return value
+    """Read "7d" or "forever" as seconds."""
     if value == "forever":
         return math.inf
     match = _DURATION.fullmatch(value) if isinstance(value, str) else None

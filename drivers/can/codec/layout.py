@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from drivers import crc
 from drivers.port import DriverSettings
@@ -25,7 +25,7 @@ def _hex(text: str) -> str:
     return text
 
 
-class ChecksumKeys(BaseModel):
+class ChecksumKeys(DriverSettings):
     """How frames are checked.
 
     Attributes:
@@ -34,8 +34,6 @@ class ChecksumKeys(BaseModel):
         over: "others": all bytes but the checksum's own; "zeroed": all, the checksum's bits taken as 0.
         data_id: bytes in hexadecimal that stand before the frame's own in the calculation.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     signal: str = Field(min_length=1)
     method: Annotated[str, AfterValidator(_method)]

@@ -25,6 +25,7 @@ import agent.runtime.workers
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded, take_flags
 from agent.cli.terminal.logs import OncePerPeriod
+from agent.cli.terminal.streams import guarded_streams
 from agent.errors import BusError, ConfigError, Fault, StoreError
 
 Run = Callable[..., tuple[int, str, str]]
@@ -168,6 +169,7 @@ def test_no_command_prints_the_help_on_stderr_and_exits_2(deltak: Run) -> None:
         ),
         (["alarms", "a.db", "--since", "1d"], "--since", "goes with --stats; add --stats"),
         (["estimates", "a.db", "--json", "--csv"], "--csv", "--json"),
+        (["db"], "db", "missing command; give one of check, repair, compact, backup; see deltak db --help"),
     ],
 )
 def test_usage_error_is_one_line_and_exit_2(deltak: Run, argv: list[str], place: str, words: str) -> None:
@@ -294,6 +296,16 @@ def test_reader_that_leaves_early_is_no_error() -> None:
         child.stdout.close()
         assert child.stderr.read() == ""
         assert child.wait(timeout=20) == 0
+
+
+def test_output_that_knows_fewer_characters_is_written_with_what_it_knows() -> None:
+    output = io.TextIOWrapper(io.BytesIO(), encoding="latin-1")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdout", output)
+        with guarded_streams():
+            sys.stdout.write("k1 25.0 ± 0.1 … 25.2")
+    output.seek(0)
+    assert output.read() == "k1 25.0 ± 0.1 ? 25.2"
 
 
 def test_bodies_are_called_with_keyword_arguments(deltak: Run, body: Any) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.cli.operator.alarms import ALARM_COLUMNS, alarms
+from agent.cli.operator.alarms import ALARM_COLUMNS, alarms, statistics
 from agent.cli.prognosis.trend import trend
 from agent.cli.tables.queries import (
     ESTIMATE_COLUMNS,
@@ -128,6 +128,15 @@ def test_trend_takes_what_the_constants_leave_open_for_part_of_the_level_not_of_
     )  # a little wider: the rows scatter by more than they state
     assert masses["sd"] > 0.95 * np.sqrt(0.5**2 - 0.05**2)
     assert same["sd"] < 0.5
+
+
+def test_statistics_of_a_replay_without_alarms_are_of_its_rows_though_it_ran_later(tmp_path: Path) -> None:
+    path = tmp_path / "replayed.db"
+    info = RunInfo("press-7", "replay", 2 * START, "0.1.0", "ab" * 32)
+    with Store.open(path) as store:
+        store.write(store.begin_run(info), [rows_of("press-7", np.random.default_rng(1))])
+    found = statistics(path, None, None)["stats"]
+    assert (found["announced"], found["since"]) == (0, found["until"])
 
 
 def test_verdicts_say_what_is_off_by_how_much_and_how_surely(db: Path, said: Said) -> None:

@@ -229,6 +229,9 @@ PRESS_TABLE = [
     ("every_s = 1.0", "every_s = -1", "store.every_s", "must not be less than 0"),
     ('full = "7d"', 'full = "a week"', "store.keep.full", "such as"),
     ('full = "7d"', "full = 7", "store.keep.full", "such as"),
+    ('full = "7d"', "full = nan", "store.keep.full", "not nan"),
+    ('full = "7d"', "full = -1.0", "store.keep.full", "not -1.0"),
+    ("[store]", "[forecast]\nhorizon = -1e308\n[store]", "forecast.horizon", "such as"),
     ('minute = "90d"', 'minute = "0d"', "store.keep.minute", "such as"),
     ("max_mb = 1024", "max_mb = 0", "store.max_mb", "must be greater than 0"),
     ("[store]", '[columns]\nx9 = "b"\n[store]', "columns.x9", 'no channel is called "x9"'),
@@ -261,6 +264,7 @@ MOTOR_TABLE = [
     (", dA = [[-1.0, 0.0], [0.0, 0.0]]", "", "model.parameter[0]", "it changes nothing"),
     ('name = "voltage"', 'name = "voltage"\nat = "m1"', "channel[0].at", "no masses"),
     ("parameter = [", "parameters = [", "model.parameters", '"parameter"'),
+    ("parameter = [", "parameter = [1, ", "model.parameter[0]", "must be a table, not 1"),
     ("parameter = [", 'parameter = [{ name = "R", nominal = 1.0, dB = [[1.0], [0.0]] }, ',
      "model.parameter[1].name", '"R" is the name of model.parameter[0]'),
 ]  # fmt: skip
@@ -364,7 +368,10 @@ def test_config_limit_that_is_a_share_of_nothing_is_refused(
     [
         ({"parity": "x"}, 'parity: "x" is none of "N", "E", "O", "M", "S"'),
         ({"port": ""}, "port: must not be empty"),
+        ({"port": "/dev/tty\0S0"}, "port: must not hold a zero byte"),
         ({"baudrate": 1e308}, "baudrate: must be a whole number of at most 64 bits, not 1e+308"),
+        ({"baudrate": True}, "baudrate: must be a whole number, not true; write it without quotes"),
+        ({"baudrate": "9600"}, 'baudrate: must be a whole number, not "9600"; write it without quotes'),
     ],
 )
 def test_faults_of_keys_of_a_serial_line_are_said_in_words(keys: dict[str, object], expected: str) -> None:
@@ -387,6 +394,29 @@ def test_fault_of_one_key_of_a_modbus_source_is_one_sentence() -> None:
     with pytest.raises(ValidationError) as caught:
         ModbusSettings.model_validate(raw)
     assert [fault.path for fault in faults_of(caught.value, "", raw)] == ["baudrate"]
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "expected"),
+    [
+        ({"share": 1}, {}, "share: must be true or false, not 1"),
+        ({"gap": "8"}, {}, 'gap: must be a whole number, not "8"'),
+        ({"timeout_s": True}, {}, "timeout_s: must be a number, not true"),
+        ({"period_s": float("inf")}, {}, "period_s: must be a finite number, not inf"),
+        ({}, {"address": True}, "fields[0].address: must be a whole number, not true"),
+        ({}, {"scale": True}, "fields[0].scale: must be a number, not true"),
+        ({}, {"scale": "2"}, 'fields[0].scale: must be a number, not "2"'),
+        ({}, {"scale": 0}, "fields[0].scale: must not be 0: it would make every sample the same"),
+    ],
+)
+def test_fault_of_a_key_of_a_modbus_source_of_the_wrong_kind_names_it(
+    change: dict[str, object], field: dict[str, object], expected: str
+) -> None:
+    raw = {"mode": "poll", "fields": [{"name": "x", "type": "int16", "address": 0, **field}], **change}
+    with pytest.raises(ValidationError) as caught:
+        ModbusSettings.model_validate(raw)
+    (fault,) = faults_of(caught.value, "", raw)
+    assert str(fault).startswith(expected)
 
 
 @pytest.mark.parametrize("table", TABLES)

@@ -138,6 +138,21 @@ def test_load_many_of_one_store_must_agree_on_it(tmp_path: Path) -> None:
     assert len({config.store.path for config in load_many([first, second])}) == 1
 
 
+BESIDE = """
+[[channel]]
+name = "hall"
+role = "covariate"
+unit = "degC"
+range = [0.0, 40.0]
+[columns]
+t = "time"
+[baseline]
+covariates = ["hall"]
+[forecast]
+every = "1h"
+"""
+"""What stands beside the model, its channels and its alarms."""
+
 VALUES = (
     ["0", "-1", "1e400", "nan", "inf", '""', '"x"', '"\\u0000"', "true", "[]", "{}", "[[]]", "[1, 'a']",
      "{ a = 1 }", "1" * 400, "1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", '"ground"', '"m1"',
@@ -171,10 +186,11 @@ def mutated_texts(draw: st.DrawFn) -> str:
 
 @pytest.mark.parametrize("value", [*VALUES, "9" * 5000], ids=lambda value: value[:20])
 def test_parse_of_a_value_in_any_place_gives_a_configuration_or_words(value: str) -> None:
-    for text in (PRESS, MINIMAL, MOTOR):
+    for text in (PRESS, MINIMAL, MOTOR, BESIDE):
         for at in (match.end() for match in re.finditer(r"= ", text)):
             end = min(k for k in (text.find(c, at) for c in ",}\n") if k > 0)
-            assert_configuration_or_words(f"{text[:at]}{value}{text[end:]}".encode())
+            changed = f"{text[:at]}{value}{text[end:]}"
+            assert_configuration_or_words((changed if text is not BESIDE else MINIMAL + changed).encode())
 
 
 @given(mutated_texts())

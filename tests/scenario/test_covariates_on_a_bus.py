@@ -155,8 +155,8 @@ def test_springs_that_follow_a_hall_raise_nothing_once_that_is_learnt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = written(tmp_path, "modbus", LINE, **SLOW)
-    warm: dict[str, float] = {"rms": 1.0, "amplitude": 15.0, "period": 900.0, "lag": 60.0}
-    healthy = play(open_bench(scenario(tmp_path, seconds=2400.0, **warm), ()), lambda _: None)
+    warm: dict[str, float] = {"rms": 1.0, "amplitude": 15.0, "period": 900.0}
+    healthy = play(open_bench(scenario(tmp_path, seconds=1900.0, **warm), ()), lambda _: None)
     assert {"k1", "k2"} <= raised(healthy)
     db = tmp_path / "rig.db"
     with Store.open(db) as store:
@@ -167,5 +167,5 @@ def test_springs_that_follow_a_hall_raise_nothing_once_that_is_learnt(
         (one,) = found[name]["covariates"]
         assert one["used"]
         assert one["coefficient"] == pytest.approx(-0.003 * found[name]["reference"], rel=0.1)
-    again = play_from(db, scenario(tmp_path, seconds=1000.0, **warm), monkeypatch)
+    again = play_from(db, scenario(tmp_path, seconds=900.0, **warm), monkeypatch)
     assert raised(again) == set()

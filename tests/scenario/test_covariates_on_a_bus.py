@@ -150,7 +150,7 @@ SLOW = {
 
 
 @pytest.mark.soak
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(3600)
 def test_springs_that_follow_a_hall_raise_nothing_once_that_is_learnt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from agent.cli.terminal.errors import USAGE
 from agent.cli.terminal.output import print_faults, print_table, show
 from agent.errors import Fault
-from agent.text import number
+from agent.text import counted, number
 
 Document = Mapping[str, Any]
 
@@ -148,7 +148,8 @@ def _print_recording(facts: Document | None, what: str) -> None:
     )
     rows = (_channel(c) for c in facts["channels"])
     if facts["channels"]:
-        ledger = f"{facts['used']:,} samples in {number(facts['span_s'], 4)} s, {facts['gaps']} gaps"
+        samples, gaps = counted(facts["used"], "sample"), counted(facts["gaps"], "gap")
+        ledger = f"{samples} in {number(facts['span_s'], 4)} s, {gaps}"
         print_table(f"{what}: {ledger}", columns, rows, right=columns[2:])
     for source in facts["sources"]:
         if source.get("skew_s") is not None:
@@ -170,17 +171,22 @@ def _holds(condition: Document) -> str:
 
 
 def _print_predicted(rows: list[Document]) -> None:
+    """Print what the windows can tell; what that rests on stands in each row only where rows differ."""
     if not rows:
         return
-    columns = ("parameter", "window, s", "sd to expect", "unit", "with")
-    cells = (
+    bases = [str(row.get("assumes") or "") for row in rows]
+    together = len(set(bases)) == 1
+    columns = ("parameter", "window, s", "sd to expect", "unit", *(() if together else ("with",)))
+    cells = [
         (
             str(row["parameter"]),
             number(row.get("window_s")),
             number(row.get("sd"), 3),
             str(row.get("unit") or ""),
-            str(row.get("assumes") or ""),
+            *(() if together else (basis,)),
         )
-        for row in rows
-    )
+        for row, basis in zip(rows, bases, strict=True)
+    ]
     print_table("what the windows can tell", columns, cells, right=columns[1:3])
+    if together and bases[0]:
+        show(f"with {bases[0]}")

@@ -174,19 +174,16 @@ def _print_predicted(rows: list[Document]) -> None:
     """Print what the windows can tell; what that rests on stands in each row only where rows differ."""
     if not rows:
         return
-    bases = [str(row.get("assumes") or "") for row in rows]
-    together = len(set(bases)) == 1
-    columns = ("parameter", "window, s", "sd to expect", "unit", *(() if together else ("with",)))
-    cells = [
-        (
-            str(row["parameter"]),
-            number(row.get("window_s")),
-            number(row.get("sd"), 3),
-            str(row.get("unit") or ""),
-            *(() if together else (basis,)),
-        )
-        for row, basis in zip(rows, bases, strict=True)
-    ]
+    bases = {str(row.get("assumes") or "") for row in rows}
+    differ = len(bases) > 1
+    columns = ("parameter", "window, s", "sd to expect", "unit", *["with"][: int(differ)])
+    cells = [_predicted(row, differ) for row in rows]
     print_table("what the windows can tell", columns, cells, right=columns[1:3])
-    if together and bases[0]:
-        show(f"with {bases[0]}")
+    if not differ:
+        show(f"with {bases.pop()}")
+
+
+def _predicted(row: Document, differ: bool) -> tuple[str, ...]:
+    figures = (number(row.get("window_s")), number(row.get("sd"), 3))
+    basis = [str(row.get("assumes") or "")][: int(differ)]
+    return (str(row["parameter"]), *figures, str(row.get("unit") or ""), *basis)

@@ -114,3 +114,8 @@ def ahead(seconds: float) -> str:
         if seconds >= least:
             return f"{number(seconds / unit, 3)} {word}"
     return f"{number(seconds, 3)} seconds"
+
+
+def counted(count: int, one: str, many: str = "") -> str:
+    """Write how many there are of what `one` names: `1 window`, `12 windows`; many: where no s makes it."""
+    return f"{count:,} {one if count == 1 else many or one + 's'}"

@@ -56,7 +56,7 @@ class Player:
         self._truth = TruthRecorder(self.rig, rate)
         self.trajectory = Trajectory(self.rig, self._truth.keep if truth else None)
         total = round(seconds * rate) if seconds else None
-        self.clock = PlayClock(rate, total, rig_file.source_names, scenario.start, fast=fast)
+        self.clock = PlayClock(rate, total, rig_file.signal_sources, scenario.start, fast=fast)
         self.clock.grain_s = grain_s
         self.devices: Sequence[Device] = make_devices(Bench(rig_file, self.trajectory, self.clock, scenario))
         self._open: list[Device] = []

@@ -4,23 +4,30 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sim_bus.arrays import FloatArray
 from sim_bus.errors import SimUsageError
 from sim_bus.player import Player
+from sim_bus.rig.covariates.channel import CovariateChannel
 from sim_bus.rig.faults import check
-from sim_bus.rig.rigfile import RigFile
+from sim_bus.rig.rigfile import Channel, RigFile
 from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario
-from sim_bus.rig.trajectory import Chunk, Rig
+from sim_bus.rig.trajectory import Rig
 
 _LOOK_S = 10.0
 _MOST_SAMPLES = 50_000
+_DAY_S = 86_400.0
+_INSTANTS = 2000
+"""Of covariates, over all that is played, a day of what has no end."""
 _TOLERATED = 0.01
 """Share of samples beyond the ends of a field from which on the scenario is not made for that wire."""
 
-Carried = Mapping[int, tuple[float, float]]
+Carried = Mapping[str, tuple[float, float]]
 
 
 def must_fit(rig: RigFile, scenario: Scenario, duration_s: float | None = None) -> None:
     """Raise SimUsageError where the first seconds of a scenario go beyond what the fields can carry.
+
+    Covariates are looked at until the scenario ends.
 
     What the scenario's sensors get wrong does not count.
     """
@@ -58,15 +65,24 @@ def _too_far(rig: RigFile, scenario: Scenario, carried: Carried, duration_s: flo
     """Return in words which channels leave their fields in the first seconds."""
     seconds = min(_LOOK_S, duration_s or scenario.duration_s or _LOOK_S)
     count = max(1, min(_MOST_SAMPLES, round(seconds * rig.rig.sample_rate_hz)))
-    played = Rig(rig, scenario).advance(count)
-    return [line for column, ends in sorted(carried.items()) if (line := _beyond(rig, played, column, ends))]
+    moved = Rig(rig, scenario)
+    played = moved.advance(count).true
+    beside = moved.covariates.true(np.linspace(0.0, duration_s or scenario.duration_s or _DAY_S, _INSTANTS))
+    lines = [
+        _beyond(channel, played[:, column] / channel.si_factor, carried.get(channel.name))
+        for column, channel in enumerate(rig.channel)
+    ]
+    lines += [
+        _beyond(one, beside[:, column], carried.get(one.name)) for column, one in enumerate(rig.covariate)
+    ]
+    return [line for line in lines if line]
 
 
-def _beyond(rig: RigFile, played: Chunk, column: int, ends: tuple[float, float]) -> str:
-    """Return in words that a channel leaves its field, "" where it does not."""
-    channel = rig.channel[column]
+def _beyond(channel: Channel | CovariateChannel, values: FloatArray, ends: tuple[float, float] | None) -> str:
+    """Return in words that a channel's values (n,), in its unit, leave its field, "" where they do not."""
+    if ends is None:
+        return ""
     low, high = sorted(end * channel.scale + channel.offset for end in ends)
-    values = played.true[:, column] / channel.si_factor
     if np.mean((values < low) | (values > high)) <= _TOLERATED:
         return ""
     reach = values[np.argmax(np.abs(values))]

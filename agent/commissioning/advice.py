@@ -14,7 +14,7 @@ from agent.config.reading.units import near_miss
 from agent.errors import Fault
 from agent.numerics.model.statespace import modes
 from agent.runtime.sources import source_hints, unordered_sources
-from agent.text import behind
+from agent.text import behind, counted
 
 
 def warnings(
@@ -176,7 +176,6 @@ def _clocks(config: RigConfig) -> Iterator[Fault]:
 
 def _recorded(recorded: Recorded | None) -> Iterator[Fault]:
     if recorded is not None and recorded.facts["gaps"]:
-        what = (
-            f"{recorded.name} has {recorded.facts['gaps']} gaps, {recorded.facts['missing']} samples missing"
-        )
+        gaps = counted(recorded.facts["gaps"], "gap")
+        what = f"{recorded.name} has {gaps}, {counted(recorded.facts['missing'], 'sample')} missing"
         yield Fault("", what, "each gap costs the windows that it falls into")

@@ -10,6 +10,7 @@ from agent.config.reading.fields import shown
 from agent.config.reading.messages import listing, nearest
 from agent.config.reading.parse import Faults, readable
 from agent.config.tables import Alarm, Observer
+from agent.text import counted
 
 MOST_GB = 1.0
 """What the linearised samples of a window may take."""
@@ -141,7 +142,9 @@ def _check_poles(path: str, poles: Sequence[float], draft: Draft) -> None:
             draft.faults.add(f"{path}[{i}]", what, "poles are in 1/s, stable ones below 0")
     states = draft.states or len(poles)
     if poles and len(poles) != states:
-        draft.faults.add(path, f"has {len(poles)} poles for {states} states", "give one pole a state")
+        draft.faults.add(
+            path, f"has {counted(len(poles), 'pole')} for {counted(states, 'state')}", "give one pole a state"
+        )
     pole, times = max(Counter(poles).items(), key=lambda found: found[1], default=(0.0, 0))
     most = len(draft.outputs)
     if most and times > most:
@@ -178,8 +181,10 @@ def _check_lengths(draft: Draft, rate_hz: float) -> None:
     for path, window_s in _windows(draft):
         samples = round(min(window_s * rate_hz, 1e18))
         if samples < least:
-            what = f"{window_s:g} s is {samples} samples"
-            unknowns = f"{len(draft.estimated)} parameters and {draft.states or 0} states"
+            what = f"{window_s:g} s is {counted(samples, 'sample')}"
+            unknowns = (
+                f"{counted(len(draft.estimated), 'parameter')} and {counted(draft.states or 0, 'state')}"
+            )
             faults.add(path, what, f"{unknowns} need at least {least}: {least / rate_hz:g} s")
         elif samples > (most := _most_samples(draft)):
             needed = f"take about {samples / most * MOST_GB:.2g} GB of memory"

@@ -8,6 +8,7 @@ from agent.config.model.linear import ENTRY, MATRICES, LinearModel, LinearParame
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import listing
 from agent.config.reading.parse import Entry, Faults, readable, unique
+from agent.text import counted
 
 Matrix = tuple[tuple[float, ...], ...]
 SAME_RATE: Final = 1e-6
@@ -75,7 +76,9 @@ def _check_states(model: LinearModel, n: int, faults: Faults) -> None:
     unique([(f"model.state[{i}]", state) for i, state in enumerate(model.state)], faults)
     if len(model.state) != n:
         faults.add(
-            "model.state", f"has {len(model.state)} names for {n} states", "name each row of A, in order"
+            "model.state",
+            f"has {counted(len(model.state), 'name')} for {counted(n, 'state')}",
+            "name each row of A, in order",
         )
 
 
@@ -140,7 +143,7 @@ def _check_entry(path: str, text: str, model: LinearModel, faults: Faults) -> No
             f"give {name} at nominal, zeros where there is nothing",
         )
         return
-    what = f"{shown(text)}: {name} has {len(rows)} rows of {len(rows[0])} columns"
+    what = f"{shown(text)}: {name} has {counted(len(rows), 'row')} of {counted(len(rows[0]), 'column')}"
     faults.add(path, what, "rows and columns are counted from zero")
 
 
@@ -157,7 +160,7 @@ def _check_shape(path: str, matrix: Matrix | None, shape: tuple[int, int], fault
 def _rows_and_columns(matrix: Matrix) -> str:
     lengths = {len(row) for row in matrix} or {0}
     columns = f"{lengths.pop()}" if len(lengths) == 1 else "uneven"
-    return f"{len(matrix)} rows of {columns} columns"
+    return f"{counted(len(matrix), 'row')} of {columns} columns"
 
 
 def _count(letter: str, shape: tuple[int, int]) -> str:

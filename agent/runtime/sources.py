@@ -131,7 +131,7 @@ class Connection:
 
     def admit(self, rig: str, source: Source) -> None:
         """Let a source join from the next block on; called by whoever takes, right after taking."""
-        own = _use(rig, source, self._driver.request.fields)
+        own = use_of(rig, source, self._driver.request.fields)
         self.uses = (*self.uses, replace(own, base=self.counts, base_dropped=self.dropped.copy()))
 
     def leave(self, rigs: Collection[str]) -> None:
@@ -261,11 +261,12 @@ def _connection(members: Sequence[tuple[RigConfig, Source]], wake: threading.Eve
     driver = driver_class(first.driver)(
         SourceRequest(first.name, first.settings, fields, counter, config.folder)
     )
-    uses = [_use(rig.rig.name, source, fields) for rig, source in members]
+    uses = [use_of(rig.rig.name, source, fields) for rig, source in members]
     return Connection(driver, uses, min(source.stale_s for _, source in members), wake, key)
 
 
-def _use(rig: str, source: Source, fields: tuple[str, ...]) -> Use:
+def use_of(rig: str, source: Source, fields: tuple[str, ...]) -> Use:
+    """Return a rig's use of a connection that delivers these fields."""
     columns = tuple(fields.index(name) for name in source.map.values())
     return Use(
         rig, source.name, columns, {name: fields.index(text) for name, text in source.covariates.items()}

@@ -232,7 +232,7 @@ class ModbusLine:
     def _silence(self, data: bytes, request: Request) -> ReplyError:
         if self._pause_s is None and self.frames.partial(data):
             self._drop()
-        got = f"{len(data)} bytes that are no reply to it" if data else "no reply"
+        got = f"{len(data)} byte{'s' * (len(data) > 1)} that are no reply to it" if data else "no reply"
         error = ReplyError("timeout", f"{got} in time to {request.words}")
         error.data = data
         return error

@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar
 from pydantic import BaseModel
 
 from sim_bus.clock import PlayClock
-from sim_bus.devices.oscillator import OwnClock, OwnTrajectory, Pace
+from sim_bus.devices.oscillator import CovariatesAlone, OwnClock, OwnTrajectory, Pace
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import LineFaults, strikes
 from sim_bus.rig.rigfile import RigFile, Source, checked
@@ -67,13 +67,18 @@ class Bench:
         """Return how a source's device samples; None where it does so with the rig."""
         name, rigs_rate = self.rig.source_names[number], self.rig.rig.sample_rate_hz
         own = next((own for own in self.scenario.device if own.source in {None, name}), None)
-        if own is None and name not in self.rig.slow_or_fast:
+        if own is None and self.rig.rate_hz(number) == rigs_rate:
             return None
         slowness, jitter_s = (1.0, 0.0) if own is None else (own.slowness, own.jitter_s)
         return Pace(rigs_rate, self.rig.rate_hz(number), slowness, jitter_s)
 
     def clock_of(self, number: int) -> PlayClock:
         """Return what paces a source's device."""
+        if self.clock.fast and not self.rig.has_signals(number):
+            name = self.rig.source_names[number]
+            raise SimUsageError(
+                f'--fast: source "{name}": covariates are read by the clock on the wall; play it in real time'
+            )
         pace = self.pace(number)
         if pace is None:
             return self.clock
@@ -86,6 +91,11 @@ class Bench:
     def trajectory_of(self, number: int) -> Trajectory:
         """Return what a source's device reads."""
         pace = self.pace(number)
+        if not self.rig.has_signals(number):
+            rigs_hz = self.rig.rig.sample_rate_hz
+            return CovariatesAlone(
+                self.trajectory, pace or Pace(rigs_hz, rigs_hz), self.scenario.seed + number
+            )
         if pace is None:
             return self.trajectory
         made = OwnTrajectory(self.trajectory, pace, self.scenario.seed + number)

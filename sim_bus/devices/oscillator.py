@@ -41,6 +41,31 @@ class Pace:
         return self.rigs_hz / self.rate_hz * self.slowness
 
 
+_NOTHING = (np.empty((CHUNK, 0)),) * 4
+"""Forces, states, parameters and true signals, which no device has."""
+
+
+class CovariatesAlone(Trajectory):
+    """What a device of covariates alone reads by its own clock; no motion has to be computed for it.
+
+    Args:
+        trajectory: the rig's.
+        pace: the device's.
+        seed: of the noise.
+    """
+
+    def __init__(self, trajectory: Trajectory, pace: Pace, seed: int) -> None:
+        super().__init__(trajectory.rig)
+        self._pace = pace
+        self._rng = np.random.default_rng([seed, 9])
+
+    def _make(self) -> None:
+        index = np.arange(self._made * CHUNK, (self._made + 1) * CHUNK, dtype=np.float64)
+        read = self.rig.covariates.read(index * (self._pace.stride / self._pace.rigs_hz), self._rng)
+        self._chunks.append(Chunk(self._made * CHUNK, *_NOTHING, np.empty((CHUNK, 0)), read))
+        self._made += 1
+
+
 class OwnTrajectory(Trajectory):
     """What one device reads of the rig by its own clock, in the same chunks.
 
@@ -58,6 +83,7 @@ class OwnTrajectory(Trajectory):
         self._pace = pace
         self._rng = np.random.default_rng([seed, 7])
         self._sensors = trajectory.rig.more_sensors(pace.rate_hz)
+        self._covariate_noise = trajectory.rig.more_noise()
         self.readings: list[FloatArray] = []
 
     def _make(self) -> None:
@@ -72,13 +98,13 @@ class OwnTrajectory(Trajectory):
         jitter = np.clip(
             pace.jitter_s * pace.rate_hz * self._rng.standard_normal(CHUNK), -_MOST_JITTER, _MOST_JITTER
         )
-        moment = (index + jitter) * pace.stride
+        moment = np.asarray((index + jitter) * pace.stride, dtype=np.float64)
         columns = [
             chain.read(index, self._at(column, np.maximum(moment - chain.delay_s * pace.rigs_hz, 0.0)))
             for column, chain in enumerate(self._sensors)
         ]
-        none = np.empty((CHUNK, 0))
-        return Chunk(number * CHUNK, none, none, none, none, np.column_stack(columns))
+        beside = self.rig.covariates.read(moment / pace.rigs_hz, self._covariate_noise)
+        return Chunk(number * CHUNK, *_NOTHING, np.column_stack(columns), beside)
 
     def _at(self, column: int, moment: FloatArray) -> FloatArray:
         """Return what an ideal sensor reads at moments, counted in the rig's samples."""

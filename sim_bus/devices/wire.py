@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from sim_bus.arrays import FloatArray
 from sim_bus.devices.wire_faults import NumberFaults
 from sim_bus.errors import SimUsageError
+from sim_bus.rig.covariates.channel import CovariateChannel
 from sim_bus.rig.faults import Strike
-from sim_bus.rig.rigfile import RigFile, Source
+from sim_bus.rig.rigfile import Channel, RigFile, Source
 from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Trajectory
 
 NumberArray = NDArray[np.int64] | NDArray[np.float64]
@@ -97,14 +98,15 @@ class Feed:
         self._trajectory = trajectory
         self._numbers = tuple(numbers)
         self._pack = pack
-        self._channels = list(rig.channel)
         self._columns = _columns(rig, source, {number.name for number in numbers})
         trajectory.rig.carried.update(
-            {self._columns[n.name]: n.bounds for n in numbers if n.name in self._columns}
+            {self._columns[n.name].channel.name: n.bounds for n in numbers if n.name in self._columns}
         )
         self._counters = _counters(source, self._numbers)
         tops = {number.name: number.high for number in numbers}
-        self._faults = NumberFaults(strikes, [(field, tops[field]) for field in source.map.values()])
+        signals = [field for field, column in self._columns.items() if not column.beside]
+        struck = signals or list(self._columns)
+        self._faults = NumberFaults(strikes, [(field, tops[field]) for field in struck])
         self._rows: deque[tuple[int, Sequence[bytes]]] = deque(maxlen=KEPT)
         self._saturated: dict[int, dict[str, NDArray[np.bool_]]] = {}
         self._past: Counter[str] = Counter()
@@ -119,9 +121,7 @@ class Feed:
             if number.name in self._counters:
                 raw[number.name] = number.count(counted)
             elif number.name in self._columns:
-                column = self._columns[number.name]
-                channel = self._channels[column]
-                values = (chunk.readings[:, column] - channel.offset) / channel.scale
+                values = self._columns[number.name].of(chunk)
                 raw[number.name], held[number.name] = number.encode(values)
             else:
                 raw[number.name] = np.zeros(len(chunk), dtype=np.int64)
@@ -162,16 +162,31 @@ class Feed:
         return {name: count for name, count in total.items() if count}
 
 
-def _columns(rig: RigFile, source: Source, fields: set[str]) -> dict[str, int]:
-    """Return the channel's number for each field that carries one."""
-    names = [channel.name for channel in rig.channel]
+@dataclass(frozen=True, slots=True)
+class Column:
+    """Where a field's values come from: a column of a chunk's readings, or of what is read beside them."""
+
+    channel: Channel | CovariateChannel
+    place: int
+    beside: bool
+
+    def of(self, chunk: Chunk) -> FloatArray:
+        """Return the values (n,) of the field, before the channel's scale and offset."""
+        readings = chunk.covariates if self.beside else chunk.readings
+        return np.asarray((readings[:, self.place] - self.channel.offset) / self.channel.scale)
+
+
+def _columns(rig: RigFile, source: Source, fields: set[str]) -> dict[str, Column]:
+    """Return for each field that carries a channel where its values come from."""
     lost = [field for field in source.map.values() if field not in fields]
     if lost:
         known = ", ".join(sorted(fields))
         raise SimUsageError(
             f'source "{source.name}": no field is called {", ".join(lost)}; fields are {known}'
         )
-    return {field: names.index(channel) for channel, field in source.map.items()}
+    columns = {one.name: Column(one, place, beside=False) for place, one in enumerate(rig.channel)}
+    columns |= {one.name: Column(one, place, beside=True) for place, one in enumerate(rig.covariate)}
+    return {field: columns[channel] for channel, field in source.map.items()}
 
 
 def _counters(source: Source, numbers: Sequence[WireNumber]) -> frozenset[str]:

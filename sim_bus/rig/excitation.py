@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sim_bus.arrays import FloatArray, IntArray
-from sim_bus.errors import SimUsageError
+from sim_bus.columns import read_column
 
 _NEEDS = {
     "random": ("rms",),
@@ -101,20 +101,6 @@ _SHAPES: dict[str, Callable[[Force, FloatArray], FloatArray]] = {
 }
 
 
-def read_column(path: Path, column: str) -> FloatArray:
-    """Return a column of an NPZ file or of a CSV file with a header; SimUsageError when it cannot be read."""
-    try:
-        if path.suffix == ".npz":
-            with np.load(path) as arrays:
-                return np.asarray(arrays[column], dtype=np.float64)
-        with path.open(encoding="utf-8") as lines:
-            place = [name.strip() for name in lines.readline().split(",")].index(column)
-            return np.loadtxt(lines, delimiter=",", usecols=place, ndmin=1)
-    except (OSError, KeyError, ValueError) as error:
-        words = error.strerror if isinstance(error, OSError) else error
-        raise SimUsageError(f'{path}: column "{column}" cannot be read: {words}') from error
-
-
 class ForceStream:
     """The forces of all nodes, drawn in order.
 
@@ -157,8 +143,6 @@ class ForceStream:
         if force.kind == "recorded":
             file = folder / (force.file or "")
             column = read_column(file, force.column or "")
-            if not len(column) or not np.isfinite(column).all():
-                raise SimUsageError(f'{file}: column "{force.column}" has no numbers, or gaps')
             return lambda index: force.gain * column[index % len(column)]
         shape = _SHAPES[force.kind]
         return lambda index: shape(force, index / self._rate)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
 from sim_bus.errors import SimUsageError
+from sim_bus.rig.covariates.channel import CovariateChannel
 from sim_bus.rig.domains.built import Built
 from sim_bus.rig.domains.system import KINDS, DomainSystem, DomainTable
 from sim_bus.rig.linear import Linear, LinearSystem
@@ -24,6 +25,8 @@ _PLAYED = (
     "the simulator plays what stands there: give the value that the machine is to have, or let "
     "`deltak identify CONFIG RECORDING --write` find it from a recording"
 )
+SLOW_HZ = 1.0
+"""How often a device of covariates alone samples where nothing says so (and no faster than the rig)."""
 ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
@@ -175,6 +178,7 @@ class RigFile(_Part):
         Discriminator(_kind),
     ]
     channel: tuple[Channel, ...] = Field(min_length=1)
+    covariate: tuple[CovariateChannel, ...] = ()
     source: tuple[Source, ...] = Field(min_length=1)
     estimator: Estimator = Estimator()
     folder: Path = Path()
@@ -229,7 +233,7 @@ class RigFile(_Part):
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
-        channels = {channel.name for channel in self.channel}
+        channels = {channel.name for channel in self.channel} | {one.name for one in self.covariate}
         lost = self._misplaced()
         lost += [
             f'source "{s.name or s.driver}": no channel is called "{name}"'
@@ -259,14 +263,25 @@ class RigFile(_Part):
         """Return a channel by name."""
         return next(channel for channel in self.channel if channel.name == name)
 
+    def has_signals(self, number: int) -> bool:
+        """Tell whether a source carries any of the model's channels, not covariates alone."""
+        beside = {covariate.name for covariate in self.covariate}
+        return not beside or not beside.issuperset(self.source[number].map)
+
+    @property
+    def signal_sources(self) -> tuple[str, ...]:
+        """The sources that carry any of the model's channels."""
+        return tuple(name for number, name in enumerate(self.source_names) if self.has_signals(number))
+
     def rate_hz(self, number: int) -> float:
         """Return how many samples a second a source's device takes, by its own clock."""
-        return self.source[number].rate_hz or self.rig.sample_rate_hz
+        own = self.rig.sample_rate_hz
+        return self.source[number].rate_hz or (own if self.has_signals(number) else min(SLOW_HZ, own))
 
     @property
     def slow_or_fast(self) -> tuple[str, ...]:
-        """The sources whose devices sample at another rate than the rig's."""
-        rates = {name: self.rate_hz(number) for number, name in enumerate(self.source_names)}
+        """The sources of signals whose devices sample at another rate than the rig's."""
+        rates = {name: self.rate_hz(self.source_names.index(name)) for name in self.signal_sources}
         return tuple(name for name, rate in rates.items() if rate != self.rig.sample_rate_hz)
 
     @property
@@ -338,18 +353,11 @@ def _line(where: str, location: tuple[int | str, ...], message: str) -> str:
     return ": ".join(text for text in (where, path, message.removeprefix("Value error, ")) if text)
 
 
-def without_covariates(content: dict[str, Any]) -> dict[str, Any]:
-    """Return a configuration without channels beside the model, and without sources of nothing else."""
-    channels, sources = content.get("channel", ()), content.get("source", ())
-    beside = {row.get("name") for row in channels if isinstance(row, dict) and row.get("role") == "covariate"}
-    if not beside:
-        return content
-    kept = []
-    for source in sources:
-        own = {name: text for name, text in source.get("map", {}).items() if name not in beside}
-        kept += [source | {"map": own}] if own else []
-    signals = [row for row in channels if not (isinstance(row, dict) and row.get("name") in beside)]
-    return content | {"channel": signals, "source": kept}
+def covariates_apart(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a configuration whose channels beside the model are tables of their own."""
+    rows = content.get("channel", ())
+    beside = [row for row in rows if isinstance(row, dict) and row.get("role") == "covariate"]
+    return content | {"channel": [row for row in rows if row not in beside], "covariate": beside}
 
 
 def read_rig(path: Path) -> RigFile:
@@ -358,5 +366,5 @@ def read_rig(path: Path) -> RigFile:
     if not content.get("source"):
         raise SimUsageError(f"source: {path} has no [[source]]; add one for each device that is to be played")
     folder = path.resolve().parent
-    content = without_covariates(content)
+    content = covariates_apart(content)
     return checked(RigFile, with_numbers(content, folder) | {"folder": folder}, str(path))

@@ -10,6 +10,7 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sim_bus.errors import SimUsageError
+from sim_bus.rig.covariates.course import Covariate
 from sim_bus.rig.excitation import Force
 from sim_bus.rig.fault_names import SENSORS
 from sim_bus.rig.rigfile import Channel, Mechanics, Quantity, RigFile, checked, read_toml
@@ -93,6 +94,7 @@ class Scenario(BaseModel):
     sensor: tuple[Sensor, ...] = ()
     change: tuple[Change, ...] = ()
     wear: tuple[Wear, ...] = ()
+    covariate: tuple[Covariate, ...] = ()
     draw: Draw | None = None
     device: tuple[Oscillator, ...] = ()
     fault: tuple[FaultAt, ...] = ()
@@ -147,17 +149,25 @@ class Scenario(BaseModel):
         wrong += [
             f"device.source: {d.source}" for d in self.device if d.source not in {None, *rig.source_names}
         ]
-        wrong += [f"wear.rate: {n}" for wear in self.wear for n in wear.rate if n not in constants]
+        wrong += [f"wear: {n}" for wear in self.wear for n in wear.names if n not in constants]
         wrong += [f"change: {n}" for change in self.changes for n in change.names if n not in constants]
         known = (
             f"parameters are {', '.join(_first(sorted(constants)))}; "
             f"channels are {', '.join(sorted(channels))}"
         )
-        lines = [
-            f"{text}: the configuration has no such thing; {known}" for text in wrong
-        ] + self._impossible(rig)
+        lines = [f"{text}: the configuration has no such thing; {known}" for text in wrong]
+        lines += self._unread(rig) + self._impossible(rig)
         if lines:
             raise SimUsageError(f"scenario: {line}" for line in lines)
+
+    def _unread(self, rig: RigFile) -> list[str]:
+        """Return in words which covariates the configuration has no channel for."""
+        read = [covariate.name for covariate in rig.covariate]
+        asked = [("covariate", one.channel) for one in self.covariate]
+        asked += [("wear", wear.channel) for wear in self.wear if wear.channel is not None]
+        known = f"its covariates are {', '.join(read)}" if read else "it has none"
+        words = 'the configuration has no channel of role "covariate" of this name'
+        return [f"{table}.channel: {name}: {words}; {known}" for table, name in asked if name not in read]
 
     def _impossible(self, rig: RigFile) -> list[str]:
         """Return in words which masses are to become what no mass can be."""

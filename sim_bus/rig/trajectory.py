@@ -7,13 +7,14 @@ when a device was read.
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from sim_bus.arrays import FloatArray
 from sim_bus.errors import SimUsageError
+from sim_bus.rig.covariates.course import Covariates
 from sim_bus.rig.excitation import ForceStream
 from sim_bus.rig.plant import Hold, Moving, PlantError, System, propagate, step
 from sim_bus.rig.rigfile import Channel, RigFile
@@ -39,6 +40,7 @@ class Chunk:
             here.
         true: (n, channels) what ideal sensors would read, SI.
         readings: (n, channels) what the sensors read, in the channels' units.
+        covariates: (n, covariates) what is read of them, in their units.
     """
 
     first: int
@@ -47,9 +49,10 @@ class Chunk:
     parameters: FloatArray
     true: FloatArray
     readings: FloatArray
+    covariates: FloatArray
 
     def __len__(self) -> int:
-        return len(self.forces)
+        return len(self.covariates)
 
 
 class Signals:
@@ -111,8 +114,8 @@ class Rig:
         scenario: what is played.
 
     Attributes:
-        carried: by channel's number, the values (before the channel's scale) that its field on the wire can
-            carry.
+        carried: by channel, the values (before the channel's scale) that its field on the wire can carry.
+        covariates: what covariates are.
 
     Raises:
         SimUsageError: the scenario does not fit the rig, or the graph has no motion.
@@ -124,7 +127,9 @@ class Rig:
         self.graph: System = rig.system
         self._places = tuple((channel, rig.place(channel)) for channel in rig.channel)
         self._rate, self.hold = rig.rig.sample_rate_hz, rig.hold
-        self.timeline = Timeline(rig.nominal, scenario.changes, self._rate, _paths(scenario, self._rate))
+        self.covariates = Covariates(rig.covariate, scenario.covariate, scenario.folder)
+        paths = _paths(scenario, self._rate, rig.nominal, self.covariates)
+        self.timeline = Timeline(rig.nominal, scenario.changes, self._rate, paths)
         forces = scenario.forces_on(rig)
         self._forces = ForceStream(forces, self.graph.nodes, self._rate, scenario.seed, scenario.folder)
         self._scenario = scenario
@@ -137,11 +142,16 @@ class Rig:
         self._ahead = self._forces.take(1)
         self._index = 0
         self._past = self._before_start()
-        self.carried: dict[int, tuple[float, float]] = {}
+        self.carried: dict[str, tuple[float, float]] = {}
+        self._covariate_noise = self.more_noise()
 
     def more_sensors(self, rate_hz: float) -> list[SensorChain]:
         """Return the sensors anew, as they are before the first sample, read so many times a second."""
         return [self._sensor(number, channel, rate_hz) for number, channel in enumerate(self.channels)]
+
+    def more_noise(self) -> np.random.Generator:
+        """Return the noise of what is read of covariates anew."""
+        return np.random.default_rng([self._scenario.seed, 8])
 
     def _sensor(self, number: int, channel: Channel, rate_hz: float) -> SensorChain:
         scenario = self._scenario
@@ -193,7 +203,8 @@ class Rig:
             sensed[here] = true[here]
             if any(self._parts):
                 sensed[here] = signals.read(run[:-1], forces[here], forces[after], late=True)
-        return Chunk(first, forces[:-1], states, parameters, true, self._read(first, sensed))
+        beside = self.covariates.read(np.arange(first, first + count) / self._rate, self._covariate_noise)
+        return Chunk(first, forces[:-1], states, parameters, true, self._read(first, sensed), beside)
 
     def _read(self, first: int, sensed: FloatArray) -> FloatArray:
         index = np.arange(first, first + len(sensed))
@@ -205,8 +216,13 @@ class Rig:
         return np.column_stack(columns)
 
 
-def _paths(scenario: Scenario, rate: float) -> list[WearPath]:
-    return [WearPath(wear, rate, (scenario.seed, 6, number)) for number, wear in enumerate(scenario.wear)]
+def _paths(
+    scenario: Scenario, rate: float, nominal: Mapping[str, float], covariates: Covariates
+) -> list[WearPath]:
+    return [
+        WearPath(wear, rate, (scenario.seed, 6, number), nominal, covariates)
+        for number, wear in enumerate(scenario.wear)
+    ]
 
 
 class Trajectory:

@@ -15,8 +15,9 @@ class TruthRecorder:
 
     The file is an NPZ with, for n samples: index, t_s (n,); forces (n, nodes) N; states (n, states) SI;
     parameters (n, parameters), the values that govern the interval that begins at each sample; true (n,
-    channels) what ideal sensors would read, SI; readings (n, channels) in the channels' units; the names of
-    the columns in node_names, state_names, parameter_names, channel_names; the ledger as JSON text in ledger.
+    channels) what ideal sensors would read, SI; readings (n, channels) in the channels' units; covariates (n,
+    covariates) as read, in their units; the names of the columns in node_names, state_names, parameter_names,
+    channel_names, covariate_names; the ledger as JSON text in ledger.
     """
 
     def __init__(self, rig: Rig, sample_rate_hz: float) -> None:
@@ -34,7 +35,7 @@ class TruthRecorder:
             name: np.concatenate([getattr(chunk, name) for chunk in self._chunks] or [np.empty((0, 0))])[
                 :played
             ]
-            for name in ("forces", "states", "parameters", "true", "readings")
+            for name in ("forces", "states", "parameters", "true", "readings", "covariates")
         }
         index = np.arange(played, dtype=np.int64)
         return {
@@ -58,4 +59,5 @@ class TruthRecorder:
             "state_names": np.array(self._rig.graph.state_names),
             "parameter_names": np.array(self._rig.timeline.names),
             "channel_names": np.array([channel.name for channel in self._rig.channels]),
+            "covariate_names": np.array([one.name for one in self._rig.covariates.channels]),
         }

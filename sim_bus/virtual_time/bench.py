@@ -141,9 +141,9 @@ class PlayedBench:
 
     def _own_readings(self, readings: Any, number: int, own: Any) -> None:
         """Put what a device with a clock of its own read in place of what it would have read by the rig's."""
-        names = [channel.name for channel in self._file.channel]
-        for channel in self._file.source[number].map:
-            readings[:, names.index(channel)] = own[:, names.index(channel)]
+        for column, channel in enumerate(self._file.channel):
+            if channel.name in self._file.source[number].map:
+                readings[:, column] = own[:, column]
 
 
 def scored() -> list[str]:

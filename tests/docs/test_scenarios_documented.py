@@ -6,6 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from agent.evaluation.score.score import Expect
+from sim_bus.rig.covariates.course import Covariate
 from sim_bus.rig.excitation import Force
 from sim_bus.rig.fault_names import KNOWN
 from sim_bus.rig.scenario import FaultAt, Initial, Scenario, built_in_names, load_scenario
@@ -16,7 +17,7 @@ from tests.docs.test_nothing_undocumented import documented
 from tests.peers import ROOT
 
 TEXT = (ROOT / "docs/scenarios.md").read_text(encoding="utf-8")
-PARTS = (Scenario, Initial, Force, Change, Draw, Wear, Sensor, Oscillator, FaultAt, Expect)
+PARTS = (Scenario, Initial, Force, Change, Draw, Wear, Covariate, Sensor, Oscillator, FaultAt, Expect)
 
 
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)

@@ -33,8 +33,8 @@ def test_scenarios_fit_the_rigs_that_they_name(rig: str) -> None:
 def test_carried_is_what_the_fields_hold_in_the_channels_unit(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(ring_config(free_port()), encoding="utf-8")
     carried = carried_by(read_rig(tmp_path / "rig.toml"))
-    assert carried[0] == pytest.approx((-32.768, 32.767))
-    assert carried[1] == pytest.approx((-0.065536, 0.065534))
+    assert carried["force"] == pytest.approx((-32.768, 32.767))
+    assert carried["x1"] == pytest.approx((-0.065536, 0.065534))
 
 
 def test_sim_configuration_without_a_source_says_so(tmp_path: Path) -> None:

@@ -13,9 +13,14 @@ from tests.statistical.unknown_machines import SPAN_S, accelerations, one_of_two
 
 
 def is_right(folder: Path, seed: int, nominal: str, share_of_span: float) -> bool:
-    """Tell whether a machine's values are within 3 sd and 2 % of the truth, in a share of the data's span."""
+    """Tell whether a machine's values are within 3 sd and 2 % of the truth, in a share of the data's span.
+
+    The time is the processor's: on the wall's clock a machine takes as long as others beside it want it to.
+    """
     one, config, recording = written(folder, seed, nominal)
+    began = time.process_time()
     document, _ = identify(config=config, recordings=[recording])
+    seconds = time.process_time() - began
     rows = document["parameters"]
     errors = {name: rows[name]["value"] - true for name, true in one.truth.items()}
     shares = {name: abs(error) / one.truth[name] for name, error in errors.items()}
@@ -23,17 +28,16 @@ def is_right(folder: Path, seed: int, nominal: str, share_of_span: float) -> boo
     figure(
         f"machine {seed}: {len(one.masses)} masses, {100 * max(shares.values()):.2f} %, "
         f"{max(sds.values()):.1f} sd, "
-        f"{document['unexplained_percent']:.3f} % unexplained, {document['seconds']:.1f} s of {SPAN_S:.0f} s"
+        f"{document['unexplained_percent']:.3f} % unexplained, {seconds:.1f} s of {SPAN_S:.0f} s"
     )
     recording.unlink()
-    in_time = document["seconds"] < share_of_span * SPAN_S
+    in_time = seconds < share_of_span * SPAN_S
     return document["ok"] and max(shares.values()) < 0.02 and max(sds.values()) < 3.0 and in_time
 
 
 @pytest.mark.parametrize("nominal", ["", ", nominal = 1.0"], ids=["no nominals", "all 1"])
 def test_four_unknown_machines_are_identified(tmp_path: Path, nominal: str) -> None:
-    # beside other work a machine may take three times as long
-    assert sum(is_right(tmp_path, seed, nominal, 0.3) for seed in range(4)) == 4
+    assert sum(is_right(tmp_path, seed, nominal, 0.1) for seed in range(4)) == 4
 
 
 @pytest.mark.soak

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from agent.text import behind, interval, iso_time, number, short_time, with_sd
+from agent.text import behind, counted, interval, iso_time, number, short_time, with_sd
 
 NAN = float("nan")
 
@@ -67,3 +67,9 @@ def test_short_time_has_milliseconds() -> None:
 
 def test_unit_behind_a_number_is_left_out_where_there_is_none() -> None:
     assert [f"3{behind(unit)}" for unit in ("N/m", "", "1", "1/s")] == ["3 N/m", "3", "3", "3 1/s"]
+
+
+def test_counted_names_one_without_an_s() -> None:
+    found = [counted(n, "window") for n in (0, 1, 2, 1234)]
+    assert found == ["0 windows", "1 window", "2 windows", "1,234 windows"]
+    assert [counted(n, "box", "boxes") for n in (1, 2)] == ["1 box", "2 boxes"]

@@ -10,7 +10,7 @@ from agent.cli.terminal.output import print_table, show, stdout_text
 from agent.commissioning.baseline.target import target_of
 from agent.errors import UsageError
 from agent.storage.read import baselines
-from agent.text import interval, iso_time, number, short_time, with_sd
+from agent.text import counted, interval, iso_time, number, short_time, with_sd
 
 Document = Mapping[str, Any]
 COLUMNS = ("id", "parameter", "reference", "unit", "spread", "between days", "lasts", "rows", "from", "until")
@@ -142,7 +142,7 @@ def write_export(document: Document, to: Path | None) -> None:
         to.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UsageError.at("--to", f"{to}: {error.strerror}", "give a file that you may write to") from error
-    sys.stderr.write(f"{to}: {len(document['baselines'])} baselines\n")
+    sys.stderr.write(f"{to}: {counted(len(document['baselines']), 'baseline')}\n")
 
 
 def print_imported(document: Document) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.cli.terminal.output import fault_of, print_table, show
-from agent.text import number
+from agent.text import counted, number
 
 Document = Mapping[str, Any]
 
@@ -134,7 +134,8 @@ def _print_recording(facts: Document | None, what: str) -> None:
     )
     rows = (_channel(c) for c in facts["channels"])
     if facts["channels"]:
-        ledger = f"{facts['used']:,} samples in {number(facts['span_s'], 4)} s, {facts['gaps']} gaps"
+        samples, gaps = counted(facts["used"], "sample"), counted(facts["gaps"], "gap")
+        ledger = f"{samples} in {number(facts['span_s'], 4)} s, {gaps}"
         print_table(f"{what}: {ledger}", columns, rows, right=columns[2:])
     for source in facts["sources"]:
         if source.get("skew_s") is not None:
@@ -156,17 +157,19 @@ def _holds(condition: Document) -> str:
 
 
 def _print_predicted(rows: list[Document]) -> None:
+    """Print what the windows can tell; what that rests on stands in each row only where rows differ."""
     if not rows:
         return
-    columns = ("parameter", "window, s", "sd to expect", "unit", "with")
-    cells = (
-        (
-            str(row["parameter"]),
-            number(row.get("window_s")),
-            number(row.get("sd"), 3),
-            str(row.get("unit") or ""),
-            str(row.get("assumes") or ""),
-        )
-        for row in rows
-    )
+    bases = {str(row.get("assumes") or "") for row in rows}
+    differ = len(bases) > 1
+    columns = ("parameter", "window, s", "sd to expect", "unit", *["with"][: int(differ)])
+    cells = [_predicted(row, differ) for row in rows]
     print_table("what the windows can tell", columns, cells, right=columns[1:3])
+    if not differ:
+        show(f"with {bases.pop()}")
+
+
+def _predicted(row: Document, differ: bool) -> tuple[str, ...]:
+    figures = (number(row.get("window_s")), number(row.get("sd"), 3))
+    basis = [str(row.get("assumes") or "")][: int(differ)]
+    return (str(row["parameter"]), *figures, str(row.get("unit") or ""), *basis)

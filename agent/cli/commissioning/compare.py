@@ -9,7 +9,7 @@ import numpy as np
 from agent.cli.terminal.output import print_table, show
 from agent.cli.terminal.pictures import new_figure, save_picture
 from agent.evaluation.compare.trial import Estimates
-from agent.text import number, with_sd
+from agent.text import counted, number, with_sd
 
 Document = Mapping[str, Any]
 POINTS = 2000
@@ -29,12 +29,13 @@ def print_compared(document: Document) -> None:
         )
         for name, row in methods.items()
     )  # fmt: skip
-    title = f"{document['rig']}: {document['samples']:,} samples of {document['recording']}"
+    title = f"{document['rig']}: {counted(document['samples'], 'sample')} of {document['recording']}"
     print_table(title, columns, rows, right=columns[1:-1])
     for name, why in document["skipped"].items():
         show(f"{name} does not apply: {why}")
     show(
-        f"prediction: what {document['windows']} windows of {number(document['window_s'], 3)} s leave "
+        f"prediction: what {counted(document['windows'], 'window')} of "
+        f"{number(document['window_s'], 3)} s leave "
         "that each method had not seen, in standard deviations of the sensors' noise "
         "(1 is the noise itself) and of the motion"
     )

@@ -9,7 +9,7 @@ import numpy as np
 from agent.cli.terminal.output import print_table, show
 from agent.cli.terminal.pictures import new_figure, save_picture
 from agent.commissioning.explained import Explained
-from agent.text import interval, number, percent, with_sd
+from agent.text import counted, interval, number, percent, with_sd
 
 Document = Mapping[str, Any]
 DRAWN = 4000
@@ -29,7 +29,9 @@ def print_identified(document: Document) -> None:
         )
         for name, row in document["parameters"].items()
     )
-    title = f"{document['rig']}: {document['windows']} windows of {number(document['window_s'], 3)} s"
+    title = (
+        f"{document['rig']}: {counted(document['windows'], 'window')} of {number(document['window_s'], 3)} s"
+    )
     print_table(title, columns, rows, right=columns[1:2])
     _print_graphs(document)
     shares = ", ".join(f"{name} {percent(share / 100)}" for name, share in document["unexplained"].items())

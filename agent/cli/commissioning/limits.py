@@ -9,7 +9,7 @@ from agent.commissioning.baseline import limits as body
 from agent.commissioning.baseline import tried as trial
 from agent.commissioning.baseline.written import write_limits
 from agent.errors import UsageError
-from agent.text import number, percent, short_time
+from agent.text import counted, number, percent, short_time
 
 Document = Mapping[str, Any]
 WRITTEN = ("limit", "on_delay_s")
@@ -71,7 +71,7 @@ def tried(
 
 def print_tried(document: Document) -> None:
     """Print which alarms would be more and which fewer."""
-    counts = f"{len(document['would'])} alarms in place of {len(document['were'])}"
+    counts = f"{counted(len(document['would']), 'alarm')} in place of {len(document['were'])}"
     show(f"{document['rig']}: {document['tried']} makes {counts} of {document['rows']} rows")
     if document["counted_from_baseline"]:
         show(f"counted from the baseline: {', '.join(document['counted_from_baseline'])}")

@@ -22,6 +22,7 @@ from agent.config import files_of
 from agent.errors import AgentError, UsageError
 from agent.storage.database.connect import connect_reader
 from agent.storage.database.files import opened
+from agent.text import counted
 
 Document = Mapping[str, Any]
 _QUERIES = {
@@ -70,7 +71,9 @@ def diag(named: Path | None, to: Path) -> Document:
 def print_diag(found: Document) -> None:
     """Say what was written."""
     running = "" if found["agent"] else "; no agent runs on it, so there is no status and no log"
-    show(f"{found['file']}: {len(found['parts'])} parts, {found['bytes']} bytes{running}")
+    show(
+        f"{found['file']}: {counted(len(found['parts']), 'part')}, {counted(found['bytes'], 'byte')}{running}"
+    )
 
 
 def _answer(db: Path, command: str) -> tuple[Document | None, str]:

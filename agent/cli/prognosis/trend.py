@@ -27,7 +27,7 @@ from agent.runtime.forecasts.histories import (
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.storage.read.tables import is_table, table_points
-from agent.text import behind, iso_time, number, short_time, with_sd
+from agent.text import behind, counted, iso_time, number, short_time, with_sd
 
 Document = Mapping[str, Any]
 _BARS = "▁▂▃▄▅▆▇█"
@@ -177,7 +177,7 @@ def _sentences(found: Document) -> str:
     _, newest, sd = found["points"][-1]
     lines = [f"{name}: newest {with_sd(newest, sd)}{behind(unit)} at {short_time(found['until'])}"]
     lines.append(
-        f"{found['n']} rows since {short_time(found['since'])}, "
+        f"{counted(found['n'], 'row')} since {short_time(found['since'])}, "
         f"{found['n_disjoint']} of them share no samples"
     )
     if found["backward"]:

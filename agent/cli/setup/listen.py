@@ -6,7 +6,7 @@ from typing import Any
 from agent.cli.terminal.output import print_table, show
 from agent.cli.terminal.signals import INTERRUPTED
 from agent.commissioning.setup.listen import Line
-from agent.text import number
+from agent.text import counted, number
 
 __all__ = ["INTERRUPTED", "print_line", "print_summary", "silent"]
 
@@ -42,7 +42,7 @@ def print_summary(document: Mapping[str, Any]) -> None:
 
 def _print_source(source: Mapping[str, Any]) -> None:
     lost = "".join(f", {reason} {count} dropped" for reason, count in source["dropped"].items())
-    show(f"{source['name']}: {source['received']} received, {source['gaps']} gaps{lost}")
+    show(f"{source['name']}: {source['received']} received, {counted(source['gaps'], 'gap')}{lost}")
     for reason, count in (source["rejected"] | source["faults"]).items():
         first = source["first_rejected"].get(reason)
         show(f"    {reason} {count}" + (f", the first: {first}" if first else ""))

@@ -7,6 +7,7 @@ from typing import Any
 from agent.cli.terminal.output import print_json, print_table, show, stdout_text
 from agent.errors import StoreError, UsageError
 from agent.storage import maintenance
+from agent.text import counted
 
 Document = dict[str, Any]
 FORMS = ("", ".csv", ".parquet")
@@ -71,7 +72,7 @@ def export(db: Path, what: str, rig: str | None, to: Path | None) -> None:
     except OSError as error:
         words = f"{to}: {error.strerror or error}"
         raise UsageError.at("--to", words, "give a file in a folder that you may write to") from error
-    sys.stderr.write(f"{to}: {count} rows\n")
+    sys.stderr.write(f"{to}: {counted(count, 'row')}\n")
 
 
 def _export_to(db: Path, what: str, to: Path, rig: str | None) -> int:

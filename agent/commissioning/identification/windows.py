@@ -77,7 +77,9 @@ def pool(
     known = np.isfinite(settings.sigma)
     sigma = np.where(known, settings.sigma, noise)
     spread = np.where(known, settings.sigma_spread, SIGMA_SPREAD_UNSTATED)
-    said = pooled(settings.rig, windows, sigma, spread, settings.floor, progress)
+    # far from the machine a model may grow beyond all numbers within a window, or die within a sample
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        said = pooled(settings.rig, windows, sigma, spread, settings.floor, progress)
     return said, config, len(windows)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from agent import __version__
 from agent.evaluation.explain.tested import Rival, Tested
-from agent.text import iso_time, number, percent, with_local, with_sd
+from agent.text import counted, iso_time, number, percent, with_local, with_sd
 from agent.types import Verdict
 
 Row = Mapping[str, Any]
@@ -62,7 +62,7 @@ def rivals(seen: Tested) -> list[str]:
 def samples(record: Row, seen: Tested) -> str:
     """Say which samples the verdict rests on."""
     start, end = with_local(iso_time(record["from_ns"])), with_local(iso_time(record["to_ns"]))
-    said = f"Its record {record['file']} holds {record['samples']} samples from {start} to {end}"
+    said = f"Its record {record['file']} holds {counted(record['samples'], 'sample')} from {start} to {end}"
     if seen.n_used is None:
         return f"{said}."
     lost = f", {seen.n_missing} lost" if seen.n_missing else ""

@@ -19,7 +19,7 @@ from agent.config.tables import Source
 from agent.errors import Fault, UsageError
 from agent.runtime.ledger import Conservation
 from agent.runtime.rig_runtime import RigRuntime
-from agent.runtime.sources import Arrival, Use
+from agent.runtime.sources import Arrival, use_of
 from agent.types import Health, Record, Samples
 from drivers.port import Driver, SourceRequest
 from drivers.reconnect import ReconnectingDriver
@@ -74,10 +74,9 @@ class _Reader:
     def __init__(self, bench: Bench, config: RigConfig, source: Source) -> None:
         self.source = source
         self._bench = bench
-        self._use = Use(config.rig.name, source.name, tuple(range(len(source.map))))
-        request = SourceRequest(
-            source.name, source.settings, tuple(source.map.values()), source.counter, config.folder
-        )
+        fields = tuple(dict.fromkeys(source.fields))
+        self._use = use_of(config.rig.name, source, fields)
+        request = SourceRequest(source.name, source.settings, fields, source.counter, config.folder)
         with bench.at(source.name):
             self.driver: Driver = driver_class(source.driver)(request)
             self._link = ReconnectingDriver(self.driver, source.stale_s, rng=random.Random(1))  # noqa: S311 (jitter)
@@ -147,7 +146,7 @@ def play(bench: Bench, progress: Progress) -> Outcome:
     now = _Now()
     rig = RigRuntime(config, outcome.records.extend, now)
     rig.pipeline.watch = outcome.samples.append
-    readers = [_Reader(bench, config, source) for source in config.source]
+    readers = [_Reader(bench, config, source) for source in (*config.source, *config.covariate_source)]
     end = bench.duration_s + LINGER_S
     while now.seconds < end:
         now.seconds = min(end, now.seconds + STEP_S)

@@ -225,7 +225,7 @@ def test_check_recording_is_the_excitation_and_its_gaps_are_warned_of(tmp_path: 
     path = recording(tmp_path, gap=True)
     document = checked(edited(tmp_path), path)
     assert document["predicted_sd"][0]["assumes"].startswith("the excitation of measured.csv")
-    assert warned(document, "")[-1] == "measured.csv has 1 gaps, 10 samples missing"
+    assert warned(document, "")[-1] == "measured.csv has 1 gap, 10 samples missing"
     assert all(np.isfinite(list(predicted(document).values())))
 
 

@@ -6,7 +6,6 @@ import pytest
 
 from agent.config import learnt_key, load
 from agent.errors import ConfigError
-from sim_bus.rig.rigfile import read_rig
 from tests.peers import ROOT
 
 TEXT = (ROOT / "deploy/examples/modbus.toml").read_text(encoding="utf-8")
@@ -84,10 +83,3 @@ def test_faults_of_covariates_name_their_keys(tmp_path: Path) -> None:
 
 def test_covariate_without_a_source_is_missed_as_any_channel_is(tmp_path: Path) -> None:
     assert faults_of(put(tmp_path, HALL))["channel[3]"] == 'no source maps "hall"'
-
-
-def test_simulator_plays_the_signals_and_leaves_covariates_alone(tmp_path: Path) -> None:
-    rig = read_rig(put(tmp_path, HALL, THERMOMETER))
-    plain = load(put(tmp_path))
-    assert [channel.name for channel in rig.channel] == [channel.name for channel in plain.channel]
-    assert rig.source_names == tuple(source.name for source in plain.source)

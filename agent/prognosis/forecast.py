@@ -139,7 +139,7 @@ def _log_spread(draws: FloatArray) -> float:
 
 def _steady(history: History) -> bool:
     found = change(history)
-    return found is None or not found.trend
+    return found is None or not found.perhaps
 
 
 def _past_limit(readings: Readings, scale: Scale) -> bool:

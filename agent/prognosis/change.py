@@ -36,7 +36,9 @@ LINE = 3
 """Rows below which there is no line with an interval."""
 YEAR = 365.25
 SEASONAL = 0.7
-"""Years of history from which on a yearly season is thought of."""
+"""Years of history from which on a yearly season is thought of, and the share of the year's twelfths in which
+there must be readings: a curve through two months of it is any course there is."""
+TWELFTHS = 12
 TIMES = (1.0, 2.5)
 """τ in steps between means."""
 BESIDE = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
@@ -152,7 +154,7 @@ class _Mixture:
         return Rates(per * (self.mean @ row), per * np.maximum(sd, 1e-300), self.weight)
 
     def improbable(self, columns: list[int]) -> tuple[float, float]:
-        """Return how probable coefficients as far from 0 are where they are 0 (Wald): at worst, on average."""
+        """Return how probable coefficients as far from 0 are where they are 0 (Wald): at worst, and mean."""
         from scipy.special import chdtrc
 
         mean = self.mean[:, columns]
@@ -168,7 +170,8 @@ def change(history: History, most: int = MEANS) -> Change | None:
     if len(thin) < LINE or thin.span <= 0.0:
         return None
     t = (thin.t - thin.t[-1]) / thin.span
-    size = max(float(np.ptp(thin.value)), float(thin.sd.max()), 1e-300)
+    digits = float(np.finfo(np.float64).eps * np.abs(thin.value).max())
+    size = max(float(np.ptp(thin.value)), float(thin.sd.max()), digits, 1e-300)
     y = (thin.value - thin.value[-1]) / size
     rough = 1.4826 * float(np.median(np.abs(np.diff(y)))) + 1e-6
     sd = np.maximum(thin.sd / size, LEAST * rough)
@@ -213,12 +216,7 @@ class _Scatter:
             *((white + size * walk) / max(1.0, size) for size in BESIDE),
         ]
         turned = [np.linalg.eigh(R / np.outer(sd, sd)) for R in shapes]
-        phase = 2.0 * np.pi * t * span / YEAR
-        season = (
-            np.column_stack([np.cos(phase), np.sin(phase)])
-            if span > SEASONAL * YEAR
-            else np.zeros((len(t), 0))
-        )
+        season = _season(t * span / YEAR)
         return cls(
             [(V / sd[:, None]).T for _, V in turned],
             [np.maximum(values, 0.0) for values, _ in turned],
@@ -226,6 +224,15 @@ class _Scatter:
             rough * SIZES,
             season * float(np.std(y)),
         )
+
+
+def _season(years: FloatArray) -> FloatArray:
+    """Return cosine and sine of the year (m, 2), or (m, 0) where the readings leave too much of it out."""
+    covered = len(np.unique(np.floor(years % 1.0 * TWELFTHS)))
+    if years[-1] - years[0] <= SEASONAL or covered < SEASONAL * TWELFTHS:
+        return np.zeros((len(years), 0))
+    phase = 2.0 * np.pi * years
+    return np.column_stack([np.cos(phase), np.sin(phase)])
 
 
 def _reml(X: FloatArray, y: FloatArray, scatter: _Scatter) -> _Mixture:

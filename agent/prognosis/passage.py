@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.prognosis.family import Scale, bent, onward
+from agent.prognosis.family import STEEPEST, Scale, bent, onward
 from agent.prognosis.posterior import FULL, Effort, Particles
 from agent.prognosis.prior import Student
 from agent.types import FloatArray
@@ -23,8 +23,8 @@ class _Paths:
     Attributes:
         gap, rate: way in u that is left, and how fast it closes.
         walk, wander: how both scatter.
-        ramp, constant: how rates go on in time by themselves: r of a ramp, 0 for none; τ of a saturation, inf
-            for none.
+        ramp, constant, growth: how rates go on in time by themselves: r of a ramp, 0 for none; τ of a
+            saturation, inf for none; g of a growth, 0 for none.
     """
 
     gap: FloatArray
@@ -33,6 +33,7 @@ class _Paths:
     wander: FloatArray
     ramp: FloatArray
     constant: FloatArray
+    growth: FloatArray
 
     @classmethod
     def joined(cls, parts: "Sequence[_Paths]") -> "_Paths":
@@ -43,7 +44,8 @@ class _Paths:
 
     def faster(self, t: float) -> FloatArray:
         """Return the rate over the rate at the start, at t spans from now."""
-        return (1.0 + self.ramp * (t + 1.0)) * np.exp(-(t + 1.0) / self.constant)
+        power = np.minimum(self.growth * (t + 1.0), STEEPEST) - (t + 1.0) / self.constant
+        return (1.0 + self.ramp * (t + 1.0)) * np.exp(power)
 
 
 def first_passages(
@@ -86,6 +88,7 @@ def _paths(
         sign * (limit - u), sign * b,
         np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index]),
         np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]),
+        np.exp(found.column("growth", -np.inf)[index]),
     )  # fmt: skip
 
 

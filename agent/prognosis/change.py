@@ -22,7 +22,7 @@ from agent.types import BoolArray, FloatArray
 
 MEANS = 32
 """Means that the change is asked of."""
-ASKED = 0.0075
+ASKED = 0.005
 """Of each of the two questions, so that a history without a trend says "trend" less than once in twenty,
 weak walks beside scatter among them."""
 ALLOWED = 1.25

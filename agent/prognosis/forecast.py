@@ -233,16 +233,26 @@ def _specimen(history: History, limit: float | None) -> Specimen | None:
     thin = blocks(sound(_life(history, limit)), FULL.means)
     if len(thin) < FEWEST or 0.0 in {thin.span, float(np.ptp(thin.value))}:
         return None
-    smooth = smoothed(thin)
-    end = float(smooth[-1])
-    if limit is not None and limit != smooth[0]:
-        share = (end - float(smooth[0])) / (limit - float(smooth[0]))
-        if share < LEAST_WAY:
-            return None
-        end = limit if share >= 1.0 - SHORT else end
+    end = _end(smoothed(thin), limit)
+    if end is None:
+        return None
     readings, scale = readings_of(thin, end)
     moves = scale.limit != 0.0 and scale.relative
     return specimen(thin.t, readings.smooth, scale) if moves else None
+
+
+def _end(smooth: FloatArray, limit: float | None) -> float | None:
+    """Return the level that a history came to, which is the limit where it came about there.
+
+    None where it went less than LEAST_WAY of the way.
+    """
+    begin, end = float(smooth[0]), float(smooth[-1])
+    if limit is None or limit == begin:
+        return end
+    share = (end - begin) / (limit - begin)
+    if share < LEAST_WAY:
+        return None
+    return limit if share >= 1.0 - SHORT else end
 
 
 def _life(history: History, limit: float | None) -> History:

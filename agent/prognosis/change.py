@@ -28,7 +28,7 @@ weak walks beside scatter among them."""
 ALLOWED = 1.25
 """Logarithm of a likelihood ratio by which a scatter may be less likely than the likeliest and is still
 thought of as the readings' own."""
-PERHAPS = 0.01
+POSSIBLE = 0.01
 """Of the average over scatters: what is more probable without a trend is no reason to look ahead."""
 FEWEST = 6
 """Rows below which only a line is asked for: neither its curvature nor its newest half can be told."""
@@ -38,7 +38,7 @@ YEAR = 365.25
 SEASONAL = 0.7
 """Years of history from which on a yearly season is thought of, and the share of the year's twelfths in which
 there must be readings: a curve through two months of it is any course there is."""
-TWELFTHS = 12
+BINS = 12
 TIMES = (1.0, 2.5)
 """τ in steps between means."""
 BESIDE = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
@@ -51,7 +51,7 @@ LEAST = 0.01
 """Least sd of a reading, in the same: one without a stated sd is not exact."""
 STRENGTHS = (None, 0.3, 1.0, 3.0)
 """Of a yearly season, in standard deviations of the readings; None without one."""
-LESS = float(np.log(6.0))
+LOG_RATIO = float(np.log(6.0))
 """Logarithm by which each strength of a season is less probable beforehand than none."""
 
 
@@ -69,7 +69,7 @@ class Change:
         p_whole, p_half: how probable as much change is without any, over the whole span and over its newest
             half, at worst over the scatters that the readings allow.
         p_mean: the same on average over them, of the less probable of the two.
-        trend: whether p_whole or p_half is below ASKED. perhaps: whether p_mean is below PERHAPS.
+        trend: whether p_whole or p_half is below ASKED. possible: whether p_mean is below POSSIBLE.
     """
 
     level: float
@@ -92,8 +92,8 @@ class Change:
         return min(self.p_whole, self.p_half) < ASKED
 
     @property
-    def perhaps(self) -> bool:
-        return self.p_mean < PERHAPS
+    def possible(self) -> bool:
+        return self.p_mean < POSSIBLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,8 +228,8 @@ class _Scatter:
 
 def _season(years: FloatArray) -> FloatArray:
     """Return cosine and sine of the year (m, 2), or (m, 0) where the readings leave too much of it out."""
-    covered = len(np.unique(np.floor(years % 1.0 * TWELFTHS)))
-    if years[-1] - years[0] <= SEASONAL or covered < SEASONAL * TWELFTHS:
+    covered = len(np.unique(np.floor(years % 1.0 * BINS)))
+    if years[-1] - years[0] <= SEASONAL or covered < SEASONAL * BINS:
         return np.zeros((len(years), 0))
     phase = 2.0 * np.pi * years
     return np.column_stack([np.cos(phase), np.sin(phase)])
@@ -249,7 +249,7 @@ def _reml(X: FloatArray, y: FloatArray, scatter: _Scatter) -> _Mixture:
     found = [_weighed(np.concatenate(gram), p, a) for a in strengths]
     likely = np.concatenate([more - 0.5 * np.concatenate(log_det) for *_, more in found])
     shares = np.repeat(scatter.log_prior, len(scatter.sizes))
-    prior = np.concatenate([shares - (0.0 if a is None else LESS) for a in strengths])
+    prior = np.concatenate([shares - (0.0 if a is None else LOG_RATIO) for a in strengths])
     weight = np.exp(likely + prior - (likely + prior).max())
     return _Mixture(
         np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]), weight / weight.sum(),

@@ -12,7 +12,7 @@ from agent.prognosis.posterior import FULL, Effort, Particles
 from agent.prognosis.prior import Student
 from agent.types import FloatArray
 
-HASTENED = frozenset(("bend", "growth"))
+FASTER = frozenset(("bend", "growth"))
 """Shapes of laws that get faster, whose rate at the limit may differ from what they say."""
 FARTHEST = 20.0
 """How many spans of the history ahead paths are followed."""
@@ -76,7 +76,7 @@ def _paths(
     index = _chosen(found, n, rng)
     s = found.state
     bend = found.column("bend", 0.0)[index]
-    fixed = HASTENED.isdisjoint(found.names)
+    fixed = FASTER.isdisjoint(found.names)
     beyond = bend if fixed else bend + later.draw(rng, n)
     limit = bent(np.array(newest), bend, scale)[0] + onward(newest, bend, beyond, scale)
     normal = rng.standard_normal((2, n))

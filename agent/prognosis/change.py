@@ -39,6 +39,7 @@ SEASONAL = 0.7
 """Years of history from which on a yearly season is thought of, and the share of the year's twelfths in which
 there must be readings: a curve through two months of it is any course there is."""
 BINS = 12
+"""Parts of a year."""
 TIMES = (1.0, 2.5)
 """τ in steps between means."""
 BESIDE = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01)

@@ -1,6 +1,7 @@
 """Numbers and instants as people read them; used by messages and tables."""
 
 import math
+import sys
 from datetime import UTC, datetime, timedelta
 
 _ORDERS = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if code not in (0x09, 0x0A)}
@@ -21,12 +22,12 @@ def with_sd(value: float | None, sd: float | None) -> str:
     """Write a value beside its standard deviation, both to the digits the deviation allows: `25.1 ± 0.9`.
 
     The deviation keeps two digits where it begins with 1 or 2, else one. Very small and very large pairs
-    share a power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone, and a
-    dash for none.
+    share a power of ten: `(7.49 ± 0.12)e-07`. A value without a usable deviation is written alone, as is one
+    whose deviation lies past its own last digit; a dash stands for none.
     """
     if value is None or sd is None:
         return number(value)
-    if not (math.isfinite(value) and math.isfinite(sd) and sd > 0.0):
+    if not (math.isfinite(value) and math.isfinite(sd) and sd > abs(value) * sys.float_info.epsilon):
         return number(value)
     power = math.floor(math.log10(sd))
     decimals = (1 if sd / 10.0**power < 2.95 else 0) - power

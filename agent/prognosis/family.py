@@ -8,6 +8,7 @@
     run-in       a rate that wanders freely until t_in, then the rate law
     onset        nothing until t_on, then the rate law
     saturation   du = b exp(−(t − t0)/τ) dt + q dW       u = y
+    growth       du = b exp(g (t − t0)) dt + q dW        u = y
 
 In the scale of u a rate law is a line, so one Kalman filter serves the whole family. How bent a law is has
 one measure: κ = log of the rate at the limit over the rate at the start.
@@ -19,7 +20,7 @@ import numpy as np
 
 from agent.types import FloatArray
 
-MEMBERS = ("constant", "rate law", "ramp", "run-in", "onset", "saturation")
+MEMBERS = ("constant", "rate law", "ramp", "run-in", "onset", "saturation", "growth")
 SHAPES: dict[str, tuple[str, ...]] = {
     "constant": (),
     "rate law": ("bend",),
@@ -27,6 +28,7 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "run-in": ("bend", "run_in"),
     "onset": ("bend", "onset"),
     "saturation": ("saturation",),
+    "growth": ("growth",),
 }
 """What each member has beyond rate, walk, wander and scatter."""
 LEAST_LEFT = 0.05
@@ -153,4 +155,6 @@ def progress(t: FloatArray, member: str, shape: FloatArray) -> FloatArray:
     if member == "saturation":
         constant = np.exp(shape[:, 0])
         return -constant * np.expm1(-(t[:, None] + 1.0) / constant)
+    if member == "growth":
+        return way_gone(t[:, None] + 1.0, np.exp(shape[:, 0]))
     return np.repeat(t[:, None] + 1.0, len(shape), axis=1)

@@ -17,8 +17,8 @@ from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
 from agent.prognosis.passage import FARTHEST, first_passages, newest_levels
 from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior
 from agent.prognosis.prior import Prior, Student
-from agent.prognosis.steps import find_steps, without
-from agent.prognosis.traces import Alike, alike
+from agent.prognosis.steps import events, find_steps, without
+from agent.prognosis.traces import SHORT, Alike, alike
 from agent.types import FloatArray
 
 SPANS = 3.0
@@ -32,6 +32,8 @@ SURE = 2.0
 SEED = 15
 LEVELS = 250
 """Draws of the newest level at which like machines are looked at."""
+LEAST_WAY = 0.5
+"""Share of the way to the limit that a like machine's history must show to say how long the rest takes."""
 COURSES = "like machines"
 """Member of the family that is no law: what like machines did from the level reached."""
 
@@ -73,7 +75,7 @@ def forecast(
     arguments enters: later rows cannot.
     """
     horizon = history.span if horizon is None else horizon
-    history = without(history, find_steps(history))
+    history = without(history, events(find_steps(history)))
     thin = blocks(sound(history), effort.means)
     if len(thin) < FEWEST or thin.span <= 0.0:
         return Forecast("too short", horizon=horizon)
@@ -139,7 +141,7 @@ def _log_spread(draws: FloatArray) -> float:
 
 def _steady(history: History) -> bool:
     found = change(history)
-    return found is None or not found.trend
+    return found is None or not found.possible
 
 
 def _past_limit(readings: Readings, scale: Scale) -> bool:
@@ -204,8 +206,9 @@ def plain_prior(readings: Readings, left: float) -> Prior:
         "run_in": Student(-1.0, 1.0),
         "saturation": Student(0.0, 1.0),
         "ramp": Student(1.0, 1.2),
+        "growth": Student(0.7, 0.7),
     }
-    members = dict(zip(MEMBERS, (0.15, 0.35, 0.15, 0.1, 0.15, 0.1), strict=True))
+    members = dict(zip(MEMBERS, (0.14, 0.3, 0.06, 0.1, 0.14, 0.1, 0.16), strict=True))
     return Prior(of, members, later=Student(0.8 / left, 1.4 / left))
 
 
@@ -216,18 +219,40 @@ def learn_from(histories: Sequence[History], limit: float | None = None) -> Lear
     """
     specimens = [found for history in histories if (found := _specimen(history, limit)) is not None]
     if not specimens:
-        raise ValueError("none of the histories of like machines has six rows that move")
+        way = "" if limit is None else f" half of the way to {limit:g}"
+        raise ValueError(f"none of the histories of like machines has six rows that move{way}")
     return learn(specimens)
 
 
 def _specimen(history: History, limit: float | None) -> Specimen | None:
+    """Return what a history teaches; None where it has too few rows, does not move, or not half of the way.
+
+    One that ends before the limit has not lived its life: what it took is the time to its own end, and its
+    law says how long the rest would take.
+    """
     thin = blocks(sound(_life(history, limit)), FULL.means)
     if len(thin) < FEWEST or 0.0 in {thin.span, float(np.ptp(thin.value))}:
         return None
-    end = float(smoothed(thin)[-1]) if limit is None else limit
+    end = _end(smoothed(thin), limit)
+    if end is None:
+        return None
     readings, scale = readings_of(thin, end)
     moves = scale.limit != 0.0 and scale.relative
     return specimen(thin.t, readings.smooth, scale) if moves else None
+
+
+def _end(smooth: FloatArray, limit: float | None) -> float | None:
+    """Return the level that a history came to, which is the limit where it came about there.
+
+    None where it went less than LEAST_WAY of the way.
+    """
+    begin, end = float(smooth[0]), float(smooth[-1])
+    if limit is None or limit == begin:
+        return end
+    share = (end - begin) / (limit - begin)
+    if share < LEAST_WAY:
+        return None
+    return limit if share >= 1.0 - SHORT else end
 
 
 def _life(history: History, limit: float | None) -> History:

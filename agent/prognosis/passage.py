@@ -7,11 +7,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.prognosis.family import Scale, bent, onward
+from agent.prognosis.family import STEEPEST, Scale, bent, onward
 from agent.prognosis.posterior import FULL, Effort, Particles
 from agent.prognosis.prior import Student
 from agent.types import FloatArray
 
+FASTER = frozenset(("bend", "growth"))
+"""Shapes of laws that get faster, whose rate at the limit may differ from what they say."""
 FARTHEST = 20.0
 """How many spans of the history ahead paths are followed."""
 
@@ -23,8 +25,8 @@ class _Paths:
     Attributes:
         gap, rate: way in u that is left, and how fast it closes.
         walk, wander: how both scatter.
-        ramp, constant: how rates go on in time by themselves: r of a ramp, 0 for none; τ of a saturation, inf
-            for none.
+        ramp, constant, growth: how rates go on in time by themselves: r of a ramp, 0 for none; τ of a
+            saturation, inf for none; g of a growth, 0 for none.
     """
 
     gap: FloatArray
@@ -33,6 +35,7 @@ class _Paths:
     wander: FloatArray
     ramp: FloatArray
     constant: FloatArray
+    growth: FloatArray
 
     @classmethod
     def joined(cls, parts: "Sequence[_Paths]") -> "_Paths":
@@ -43,7 +46,8 @@ class _Paths:
 
     def faster(self, t: float) -> FloatArray:
         """Return the rate over the rate at the start, at t spans from now."""
-        return (1.0 + self.ramp * (t + 1.0)) * np.exp(-(t + 1.0) / self.constant)
+        power = np.minimum(self.growth * (t + 1.0), STEEPEST) - (t + 1.0) / self.constant
+        return (1.0 + self.ramp * (t + 1.0)) * np.exp(power)
 
 
 def first_passages(
@@ -72,7 +76,7 @@ def _paths(
     index = _chosen(found, n, rng)
     s = found.state
     bend = found.column("bend", 0.0)[index]
-    fixed = "bend" not in found.names
+    fixed = FASTER.isdisjoint(found.names)
     beyond = bend if fixed else bend + later.draw(rng, n)
     limit = bent(np.array(newest), bend, scale)[0] + onward(newest, bend, beyond, scale)
     normal = rng.standard_normal((2, n))
@@ -86,6 +90,7 @@ def _paths(
         sign * (limit - u), sign * b,
         np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index]),
         np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]),
+        np.exp(found.column("growth", -np.inf)[index]),
     )  # fmt: skip
 
 

@@ -13,6 +13,8 @@ ASIDE = 3
 APART = 7.0
 """Standard deviations of that difference, as it scatters over the whole history, from which it is a step."""
 MOST = 5
+MANY = 3
+"""Steps of one direction from which on they are how the part wears."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +44,16 @@ def find_steps(history: History) -> list[Step]:
         found.append(step)
         thin = without(thin, [step])
     return sorted(found, key=lambda step: step.t)
+
+
+def events(steps: list[Step]) -> list[Step]:
+    """Return the steps that are events: none where there are MANY and all go one way, which is wear in steps.
+
+    A repair, a sensor put elsewhere or a new reference moves a level once; layers that come off and cracks
+    that jump move it again and again, and will.
+    """
+    one_way = len({step.size > 0.0 for step in steps}) == 1
+    return [] if one_way and len(steps) >= MANY else steps
 
 
 def without(history: History, steps: list[Step]) -> History:

@@ -1,5 +1,6 @@
 """`deltak fleet`: parts of many machines in one table, most urgent first; and what like machines teach."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,7 +9,7 @@ from agent.cli.terminal.output import print_table, show
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
 from agent.prognosis.posterior import BRIEF
-from agent.prognosis.steps import find_steps, without
+from agent.prognosis.steps import events, find_steps, without
 from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import (
     forecast_document,
@@ -37,7 +38,7 @@ def fleet(
 
     Raises StoreError; UsageError for no place, or one that cannot be read.
     """
-    horizon = horizon_days(within)
+    horizon = horizon_days(within, "--within")
     rows = [
         _row(part, horizon, limit_percent) | {"covariates": list(part.covariates), "record": part.record}
         for part in _parts(places, parameter)
@@ -125,7 +126,7 @@ def _row(part: _Part, horizon: float | None, limit_percent: float) -> dict[str, 
         "limit": None, "status": "no trend", "p50_s": None, "p50_at": None, "chance": None,
     }  # fmt: skip
     history = history_of(points, part.window_s)
-    asked = change(without(history, find_steps(history)))
+    asked = change(without(history, events(find_steps(history))))
     reference = points.reference if points.reference is not None else _first(points)
     if asked is None or reference is None:
         return row
@@ -175,8 +176,10 @@ def learn_prior(
     """Learn a prior of like machines' histories and write it. Raises UsageError where they teach nothing."""
     if to is None:
         raise UsageError.at("--to", "is needed with learn", "name the file to write the prior to")
+    if limit is not None and not math.isfinite(limit):
+        raise UsageError.at("--limit", f"must be a number, not {limit:g}", "give a value of the parameter")
     paths = [path for file in files for path in (databases([file]) if file.is_dir() else [file])]
-    learnt = like_machines(paths, parameter, limit)
+    learnt = like_machines(paths, parameter, limit, "DB")
     if learnt is None:
         raise UsageError.at("DB", "learn names no file", "name databases or tables of like machines")
     write_prior(learnt, to)

@@ -14,7 +14,7 @@ from agent.cli.terminal.output import print_csv, print_json, print_table, show
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
 from agent.prognosis.history import DAY_NS, disjoint
-from agent.prognosis.steps import find_steps, without
+from agent.prognosis.steps import events, find_steps, without
 from agent.runtime.forecasts.compensated import Compensated, compensated
 from agent.runtime.forecasts.histories import (
     common_sd,
@@ -112,7 +112,7 @@ def _document(
     points = found.points
     history = history_of(points, window)
     steps = find_steps(history)
-    asked = change(without(history, steps))
+    asked = change(without(history, events(steps)))
     instants = points.t_ns.tolist()
     oldest, newest = (instants[0], instants[-1]) if instants else (0, 0)
     like = like_machines(ahead.like, points.parameter, limit)
@@ -191,7 +191,7 @@ def _sentences(found: Document) -> str:
         there = f"{with_sd(found['value'], found['sd'])}{behind(unit)}"
         lines.append(f"line there: {there}; {drift(found)}: {finding(found)}")
     if found["limit"] is not None:
-        lines.append(f"limit {number(found['limit'])} {unit}: {_distance(found, newest)}".replace("  ", " "))
+        lines.append(f"limit {number(found['limit'])}{behind(unit)}: {_distance(found, newest)}")
         lines += [forecast_words(found), *record_words(found["forecast"])]
     return "\n".join(lines)
 
@@ -221,7 +221,7 @@ def _distance(found: Document, newest: float) -> str:
     """Say how far the limit is, and whether it lies between the first row and the newest."""
     before, now = found["limit"] - found["points"][0][1], found["limit"] - newest
     beyond = before * now < 0
-    words = f"{'crossed, ' if beyond else ''}{number(abs(now), 4)} {unit_of(found)}"
+    words = f"{'crossed, ' if beyond else ''}{number(abs(now), 4)}{behind(unit_of(found))}"
     return f"{words} {'beyond it' if beyond else 'away'}"
 
 

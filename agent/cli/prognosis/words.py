@@ -36,7 +36,7 @@ def _direction(found: Document) -> str:
     if bend is None or abs(bend) < 2.0 * sd:
         return way
     word = {"second": "second", "hour": "hour"}.get(time_unit(found["span_s"])[1], "month")
-    return f"{way}, and {'faster' if bend * slope > 0.0 else 'slower'} each {word}"
+    return f"{way}, and {'faster' if (bend > 0.0) == (slope > 0.0) else 'slower'} each {word}"
 
 
 def _stepped(found: Document, change: Document) -> str:

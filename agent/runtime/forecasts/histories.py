@@ -49,13 +49,13 @@ def window_s(db: Path, parameter: str) -> float:
     return max((row["window_s"] or 0.0 for row in rows if row["parameter"] == parameter), default=0.0)
 
 
-def horizon_days(text: str | None) -> float | None:
-    """Return an age such as "90d" in days. Raises UsageError for what is none."""
+def horizon_days(text: str | None, key: str = "--horizon") -> float | None:
+    """Return an age such as "90d" in days; key: what named it. Raises UsageError for what is none."""
     if text is None:
         return None
     found = age_ns(text)
     if not found:
-        raise UsageError.at("--horizon", f'"{text}" is no length of time', "write 90d, 12h or 30min")
+        raise UsageError.at(key, f'"{text}" is no length of time', "write 90d, 12h or 30min")
     return found / DAY_NS
 
 
@@ -72,6 +72,8 @@ def like_machines(
         return None
     if len(paths) == 1 and paths[0].suffix == ".json":
         return read_prior(paths[0])
+    if any(path.suffix == ".json" for path in paths):
+        raise UsageError.at(key, "a prior stands alone", "name one prior, or histories")
     histories = [history for path in paths for history in _histories(path, parameter)]
     try:
         return learn_from(histories, limit)

@@ -17,7 +17,7 @@ from agent.prognosis.forecast import Forecast, forecast
 from agent.prognosis.history import DAY_NS, History
 from agent.prognosis.learnt import Learnt
 from agent.prognosis.passage import FARTHEST
-from agent.prognosis.steps import find_steps, without
+from agent.prognosis.steps import events, find_steps, without
 from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import common_sd, history_of, like_machines, window_s
 from agent.runtime.forecasts.scoring import scores_of
@@ -118,7 +118,7 @@ class Forecaster:
         window = self._window_s if self._window_s is not None else window_s(self._db, points.parameter)
         history = history_of(points, window)
         long_enough = history.span * 86_400.0 * MOMENT >= self._asked.every
-        asked = change(without(history, find_steps(history))) if long_enough else None
+        asked = change(without(history, events(find_steps(history)))) if long_enough else None
         reference = points.reference if points.reference is not None else float(points.value[0])
         return _Seen(points, history, long_enough, asked, reference)
 

@@ -16,6 +16,11 @@ from agent.storage.read.times import age_ns, parse_time
 ENDINGS = frozenset({".csv", ".parquet", ".pq"})
 _TIMES = ("time", "t", "t_ns")
 _LONGEST_LINE = 1 << 22
+_WHEN = "seconds, or ISO 8601, from 1678 to 2261"
+_LARGEST = 1e100
+"""Magnitude beyond which no parameter of a machine lies and squares overflow."""
+_FIRST_NS, _LAST_NS = -(2**63) + 1, 2**63 - 1
+"""Years 1677 and 2262: what 64 bits of nanoseconds hold."""
 _ADVICE = "a history has the columns time (ISO 8601, or seconds), value and, where there is one, sd"
 
 
@@ -31,7 +36,8 @@ def table_points(
     """Return the history in a table in order of time, and how many rows stood before an earlier one.
 
     parameter: the one meant, where the table has a column of that name. Rows without a number are left out,
-    and those whose status, where there is such a column, is not valid.
+    those of infinite sd, and those whose status, where there is such a column, is not valid. A row without
+    an sd beside rows with one takes their median.
 
     Raises UsageError for a file that cannot be read or is no history.
     """
@@ -43,11 +49,11 @@ def table_points(
         [_instant(path, row, cell, clock) for row, cell in enumerate(columns[clock], 2)], dtype=np.int64
     )
     value = _numbers(path, "value", columns["value"])
-    sd = _numbers(path, "sd", columns["sd"]) if "sd" in columns else np.zeros(len(value))
-    keep = np.isfinite(value)
+    sd = _deviations(path, columns["sd"]) if "sd" in columns else np.zeros(len(value))
+    keep = np.isfinite(value) & np.isfinite(sd)
     backward = int(np.sum(np.diff(t_ns[keep]) < 0))
     order = np.flatnonzero(keep)[np.argsort(t_ns[keep], kind="stable")]
-    t_ns, value, sd = t_ns[order], value[order], np.maximum(np.nan_to_num(sd[order]), 0.0)
+    t_ns, value, sd = t_ns[order], value[order], sd[order]
     first, last = (_bound(text, t_ns) for text in (since, until))
     kept = np.ones(len(t_ns), dtype=np.bool_)
     if first is not None:
@@ -65,6 +71,9 @@ def _meant(
     """Return the rows of one parameter of one rig that are valid, of a table that says of which they are."""
     wanted = {"rig": _only(path, "rig", columns), "status": "valid"}
     wanted["parameter"] = _only(path, "parameter", columns) if parameter is None else parameter
+    there = sorted({str(cell) for cell in columns.get("parameter", ())})
+    if there and parameter is not None and parameter not in there:
+        raise UsageError.at(str(path), f"holds no {parameter}", f"it holds {', '.join(there[:20])}")
     keep = [True] * max(map(len, columns.values()), default=0)
     for name in wanted.keys() & columns.keys():
         keep = [kept and cell == wanted[name] for kept, cell in zip(keep, columns[name], strict=True)]
@@ -100,6 +109,9 @@ def _csv(path: Path) -> dict[str, list[str]]:
         rows = csv.DictReader(_lines(path, file))
         names = [name.strip() for name in rows.fieldnames or ()]
         cells = [[cell or "" for cell in (row[name] for name in rows.fieldnames or ())] for row in rows]
+    twice = sorted({name for name in names if name and names.count(name) > 1})
+    if twice:
+        raise UsageError.at(str(path), f"has the column {', '.join(twice)} more than once", _ADVICE)
     return {name: [row[i] for row in cells] for i, name in enumerate(names)}
 
 
@@ -135,23 +147,42 @@ def _instant(path: Path, row: int, cell: Any, clock: str) -> int:
     except (TypeError, ValueError):
         return _iso(path, row, str(cell))
     if not math.isfinite(seconds) or abs(seconds) * (1.0 if clock == "t_ns" else 1e9) > 9e18:
-        raise UsageError.at(f"{path}:{row}", f'"{cell}" is no time', "seconds, or ISO 8601")
+        raise UsageError.at(f"{path}:{row}", f'"{cell}" is no time', _WHEN)
     return int(cell) if clock == "t_ns" else round(seconds * 1e9)
 
 
 def _iso(path: Path, row: int, text: str) -> int:
     try:
-        if age_ns(text) is None:
-            return parse_time(text, 0)
+        if age_ns(text) is None and _FIRST_NS <= (t_ns := parse_time(text, 0)) <= _LAST_NS:
+            return t_ns
     except UsageError:
         pass  # the line says more than the option that parse_time names
-    raise UsageError.at(f"{path}:{row}", f'"{text}" is no time', "seconds, or ISO 8601")
+    raise UsageError.at(f"{path}:{row}", f'"{text}" is no time', _WHEN)
+
+
+def _deviations(path: Path, cells: Sequence[Any]) -> "np.ndarray[Any, np.dtype[np.float64]]":
+    """Return the sd of every row (n,): 0 where none states one."""
+    sd = _numbers(path, "sd", cells)
+    if (sd < 0.0).any():
+        raise UsageError.at(
+            str(path), f"the column sd holds {sd[sd < 0.0][0]:g}, which is no deviation", _ADVICE
+        )
+    stated = sd[np.isfinite(sd)]
+    return np.where(np.isnan(sd), float(np.median(stated)) if len(stated) else 0.0, sd)
 
 
 def _numbers(path: Path, name: str, cells: Sequence[Any]) -> "np.ndarray[Any, np.dtype[np.float64]]":
     try:
-        return np.array([math.nan if cell in {None, ""} else float(cell) for cell in cells])
+        found = np.array(
+            [math.nan if cell in {None, ""} else float(cell) for cell in cells], dtype=np.float64
+        )
     except (TypeError, ValueError) as error:
         raise UsageError.at(
             str(path), f"the column {name} holds what is no number: {error}", _ADVICE
         ) from error
+    beyond = found[np.isfinite(found) & (np.abs(found) > _LARGEST)]
+    if len(beyond):
+        raise UsageError.at(
+            str(path), f"the column {name} holds {beyond[0]:g}, past what is measured", _ADVICE
+        )
+    return found

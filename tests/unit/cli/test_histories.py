@@ -305,6 +305,47 @@ def test_trend_over_rows_of_two_references_and_a_set_clock_says_so(
     assert "a trend: falls" in text  # what is counted from elsewhere moves no value
 
 
+@pytest.mark.parametrize(
+    ("head", "row", "words"),
+    [
+        ("time,value,value", "{t},25,24", "has the column value more than once"),
+        ("time,value,sd", "{t},25,-0.1", "the column sd holds -0.1, which is no deviation"),
+        ("time,value", "{t},1e308", "past what is measured"),
+        ("time,value", "9900-01-01T00:00:00Z,25", "is no time; seconds, or ISO 8601, from 1678 to 2261"),
+        ("time,parameter,value", "{t},B1,25", "holds no k1; it holds B1"),
+    ],
+)
+def test_table_that_is_no_history_is_a_sentence(tmp_path: Path, head: str, row: str, words: str) -> None:
+    path = tmp_path / "odd.csv"
+    path.write_text("\n".join([head, *(row.format(t=DAY * i) for i in range(20))]), encoding="utf-8")
+    with pytest.raises(UsageError, match=words):
+        table_points(path, parameter="k1")
+
+
+def test_row_without_sd_is_not_exact_and_one_of_infinite_sd_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "mixed.csv"
+    cells = ["0.1", "", "inf", "0.3", "nan"]
+    rows = [f"{DAY * i},25,{sd}" for i, sd in enumerate(cells)]
+    path.write_text("\n".join(["time,value,sd", *rows]), encoding="utf-8")
+    assert table_points(path)[0].sd.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.2])
+
+
+def test_constant_rows_without_sd_have_a_level_in_few_digits(tmp_path: Path, said: Said) -> None:
+    text = said(
+        trend, table(tmp_path / "still.csv", np.full(60, 25.0), None), None, None, OPEN, None, "table", None
+    )
+    assert "line there: 25; " in text
+
+
+def test_prior_beside_histories_and_a_limit_that_is_no_number_are_refused(tmp_path: Path) -> None:
+    path = table(tmp_path / "still.csv", np.full(60, 25.0))
+    ahead = Ahead(like=(tmp_path / "prior.json", path))
+    with pytest.raises(UsageError, match="a prior stands alone"):
+        trend(path, None, None, OPEN, 18.0, "table", None, ahead)
+    with pytest.raises(UsageError, match="--limit: must be a number, not nan"):
+        learn_prior([path], None, float("nan"), tmp_path / "prior.json")
+
+
 def test_endless_row_of_a_history_is_refused_and_not_read(tmp_path: Path) -> None:
     path = tmp_path / "endless.csv"
     for head in ("", "time,value\n"):

@@ -6,7 +6,10 @@ import numpy as np
 
 from agent.prognosis.history import History
 
-WEIGHTS = {"constant": 0.15, "rate law": 0.35, "ramp": 0.15, "run-in": 0.1, "onset": 0.15, "saturation": 0.1}
+WEIGHTS = {
+    "constant": 0.14, "rate law": 0.3, "ramp": 0.06, "run-in": 0.1, "onset": 0.14, "saturation": 0.1,
+    "growth": 0.16,
+}  # fmt: skip
 BENT = {"rate law", "run-in", "onset"}
 MEANS = 100
 STEP = 1.0 / 400.0
@@ -32,10 +35,12 @@ class Law:
     onset: float = -1.0
     run_in: float = -1.0
     constant: float = np.inf
+    growth: float = 0.0
 
     def of_time(self, t: float) -> float:
         """Rate at t over the rate at the start, as far as time alone decides."""
-        return (t >= self.onset) * (1.0 + self.ramp * (t + 1.0)) * float(np.exp(-(t + 1.0) / self.constant))
+        power = min(self.growth * (t + 1.0), 30.0) - (t + 1.0) / self.constant
+        return (t >= self.onset) * (1.0 + self.ramp * (t + 1.0)) * float(np.exp(power))
 
     def of_level(self, z: float, now: float | None = None) -> float:
         """Rate at a level over the rate at the start, as far as the level decides; now: the newest one, if
@@ -84,13 +89,17 @@ def drawn(rng: np.random.Generator, name: str) -> tuple[Law, float]:
     scatter = gone * float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))
     shapes: dict[str, float] = {}
     if name in BENT:
-        shapes |= {"bend": student(rng, 1.4, 1.0, 5.0), "later": student(rng, 0.8, 1.4)}
+        shapes["bend"] = student(rng, 1.4, 1.0, 5.0)
+    if name in BENT | {"growth"}:
+        shapes["later"] = student(rng, 0.8, 1.4)
     if name == "ramp":
         shapes["ramp"] = float(np.exp(student(rng, 1.0, 1.2)))
     if name == "onset":
         shapes["onset"] = instant(student(rng, 0.0, 1.5))
     if name == "run-in":
         shapes["run_in"] = instant(student(rng, -1.0, 1.0))
+    if name == "growth":
+        shapes["growth"] = float(np.exp(student(rng, 0.7, 0.7)))
     if name == "saturation":
         shapes["constant"] = float(np.exp(student(rng, 0.0, 1.0)))
     law = Law(

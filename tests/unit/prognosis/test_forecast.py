@@ -214,6 +214,26 @@ def test_learn_from_nothing_that_moves_says_so() -> None:
         learn_from([History(np.arange(4.0), np.ones(4), np.ones(4))])
 
 
+def test_like_machines_that_ended_before_the_limit_have_not_lived(rng: np.random.Generator) -> None:
+    """Taken out of service at 85, they say how long 80 takes by their law and not by the day they ended."""
+    t = np.arange(76.0)
+    fall = [100.0 - 0.2 * t + 0.05 * rng.standard_normal(76) for _ in range(6)]
+    learnt = learn_from([History(t, value, np.full(76, 0.05)) for value in fall], 80.0)
+    assert np.exp(learnt.of["life"][0]) == pytest.approx(75.0, rel=0.02)
+    assert learnt.way == pytest.approx(np.log(0.85), rel=0.02)  # what that life is counted over: not to 80
+    with pytest.raises(ValueError, match="half of the way to 60"):
+        learn_from([History(t, value, np.full(76, 0.05)) for value in fall], 60.0)
+
+
+def test_forecast_of_damage_that_grows_by_its_own_size_is_not_late(rng: np.random.Generator) -> None:
+    """exp(t/50), seen to 0.6 of its life: laws of the level alone and of time squared all come later."""
+    t = np.arange(118.0)
+    value = 100.0 - 0.5 * np.expm1(0.02 * t) + 0.1 * rng.standard_normal(118)
+    found = forecast(History(t, value, np.full(118, 0.1)), 75.0)
+    assert found.family["growth"] > 0.3
+    assert pit(found.passages, np.log(51.0) / 0.02 - 117.0) > 0.1
+
+
 @pytest.mark.parametrize("rows", [100, 4000])
 def test_forecast_counts_from_the_newest_row_however_many_there_are(
     rng: np.random.Generator, rows: int

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import isotonic_regression
 
 from agent.prognosis.history import History, blocks, monotone, smoothed, sound
-from agent.prognosis.steps import find_steps, without
+from agent.prognosis.steps import Step, events, find_steps, without
 from tests.unit.prognosis.histories import bent
 
 
@@ -60,3 +60,11 @@ def test_monotone_fit_is_that_of_scipy(rng: np.random.Generator) -> None:
         value, weight = np.round(rng.standard_normal(n), 1), rng.uniform(0.1, 3.0, n)
         oracle = isotonic_regression(value, weights=weight).x
         assert monotone(value, weight) == pytest.approx(oracle, abs=1e-12)
+
+
+def test_steps_of_one_direction_again_and_again_are_how_a_part_wears() -> None:
+    down = [Step(float(day), -1.0, 0.1) for day in (10, 40, 70)]
+    assert events(down) == []
+    assert events(down[:2]) == down[:2]
+    repaired = [*down, Step(80.0, 3.0, 0.1)]
+    assert events(repaired) == repaired

@@ -134,7 +134,8 @@ def _text(chain: Chain, said: Mapping[str, object]) -> str:
     ):  # fmt: skip
         lines += ["]", f"{kind} = ["]
         lines += [
-            f'{{ name = "{link.name}", between = ["{link.ends[0]}", "{link.ends[1]}"], nominal = {value!r} }},'
+            f'{{ name = "{link.name}", between = ["{link.ends[0]}", "{link.ends[1]}"], '
+            f"nominal = {value!r} }},"
             for link, value in zip(links, nominal, strict=True)
         ]
     lines += ["]", "[[channel]]", 'name = "force"', 'quantity = "force"', f'at = "{nodes[-1]}"']

@@ -1,4 +1,4 @@
-"""Random rigs that are no chains, their forces, and the ways in which a configuration of them is nearly right.
+"""Random rigs that are no chains, their forces, and ways in which a configuration of them is nearly right.
 
 One to four masses in a random tree, further springs across it and to the ground, dampers beside most of the
 springs; displacements, accelerometers or velocities, sometimes one fewer than masses; a force of one of five
@@ -10,15 +10,27 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import chirp, lfilter
+from scipy.signal import chirp
 
 from agent.types import FloatArray
 from sim_bus.rig.plant import GROUND, Graph, Link, equations
 from tests.statistical.chains import Chain
 from tests.statistical.nearly_right import (
-    SCALE, Case, Change, Found, Play, coloured, crooked, digits, drift, gains, held, hum, masses, pushed,
-    read_noise, said,
-)  # fmt: skip
+    SCALE,
+    Case,
+    Change,
+    Found,
+    Play,
+    coloured,
+    digits,
+    drift,
+    gains,
+    held,
+    masses,
+    pushed,
+    read_noise,
+    said,
+)
 from tests.statistical.right_models import free_responses
 
 SETTLE = 2
@@ -369,10 +381,10 @@ def _gain(rig: Network, rng: np.random.Generator) -> Fault:
 
 
 FAULTS: dict[str, Callable[[Network, np.random.Generator], Fault]] = {
-    "noise stated": _stated, "noise not stated": _not_stated, "one mass": _one_mass, "all masses": _all_masses,
-    "gain drifts": _drift, "all outputs": _outputs, "one output": _one_output, "force noise": _read_noise,
-    "unknown force": _pushed, "hum": _hum, "held": _held, "three digits": _digits, "AR sensors": _coloured,
-    "gain": _gain,
+    "noise stated": _stated, "noise not stated": _not_stated, "one mass": _one_mass,
+    "all masses": _all_masses, "gain drifts": _drift, "all outputs": _outputs, "one output": _one_output,
+    "force noise": _read_noise, "unknown force": _pushed, "hum": _hum, "held": _held,
+    "three digits": _digits, "AR sensors": _coloured, "gain": _gain,
 }  # fmt: skip
 DRIVEN = frozenset({"driving-point force noise"})
 PAIRS = (

@@ -127,12 +127,16 @@ def _text(chain: Chain, said: Mapping[str, object]) -> str:
     lines = ["[rig]", 'name = "chain"', f"sample_rate_hz = {chain.rate_hz}", 'clock = "counter"', "[model]"]
     lines += ['kind = "mass-spring-damper"', "mass = ["]
     lines += [f'{{ name = "{n}", value = {m!r}{sheet} }},' for n, m in zip(nodes[1:], masses, strict=True)]  # type: ignore[call-overload]
-    for kind, letter, values in (("spring", "k", chain.springs), ("damper", "B", chain.dampers)):
+    graph, values = chain.graph, chain.theta.tolist()
+    count = len(graph.springs)
+    for kind, links, nominal in (
+        ("spring", graph.springs, values[:count]), ("damper", graph.dampers, values[count:])
+    ):  # fmt: skip
         lines += ["]", f"{kind} = ["]
         lines += [
-            f'{{ name = "{letter}{i + 1}", between = ["{nodes[i]}", "{nodes[i + 1]}"], '
+            f'{{ name = "{link.name}", between = ["{link.ends[0]}", "{link.ends[1]}"], '
             f"nominal = {value!r} }},"
-            for i, value in enumerate(values)
+            for link, value in zip(links, nominal, strict=True)
         ]
     lines += ["]", "[[channel]]", 'name = "force"', 'quantity = "force"', f'at = "{nodes[-1]}"']
     lines += [f'unit = "N"\n{gain}{late}']

@@ -13,6 +13,8 @@ from drivers.port import SampleBlock
 from tests.statistical.chains import DRIVEN, FELT, ONE, SHAKEN, SLOW, SMALL, THREE, TWO, Chain
 
 SETTLE_WINDOWS = 2
+SLACK_SD = 3.0
+"""Standard deviations of a count by which a share may lie below its bound."""
 BLOCK = 5000
 Change = Callable[["Play", np.random.Generator], None]
 
@@ -342,3 +344,21 @@ def found(given: Sequence[Record], chain: Chain, truth: FloatArray) -> Found:
         valid[apart].astype(float), held[apart].astype(float), float(valid[whole].mean()),
         float(understood[whole].mean()), alarms, largest, last,
     )  # fmt: skip
+
+
+def least(share: float, count: float) -> float:
+    """The share that `count` intervals may show when `share` of all hold; neighbours share noise and
+    constants."""
+    return share - SLACK_SD * float((share * (1 - share) / max(count, 1.0)) ** 0.5)
+
+
+def hold(name: str, case: Case, found: Found, sure: float) -> None:
+    """Assert what must be so; sure: share of the recordings in which what is right has to be said."""
+    total, each_one = found.valid.sum(), found.valid.sum(axis=0).min()
+    assert found.understood >= 0.97, f"{name}: {100 * found.understood:.1f} % of rows"
+    assert found.cover >= least(0.93, total)
+    assert found.worst >= least(0.90, each_one)
+    assert not set(found.alarms) - case.right, f"{name}: alarms {found.alarms}"
+    assert not found.wrong(case.right), f"{name}: {found.wrong(case.right)}"
+    if case.said:
+        assert sum(found.last.get(which, 0.0) for which in case.right) >= sure

@@ -88,7 +88,7 @@ def bounds(chain: Chain, forces: FloatArray, sigma: FloatArray) -> FloatArray:
         apart = [chain.motion(forces, thetas=[(0, chain.theta + sign * change)]) for sign in (1, -1)]
         columns.append((apart[0] - apart[1]) / 2e-5)
     psi = np.stack(columns, axis=2) / sigma[:, None]
-    free = _free(chain) / sigma[:, None]
+    free = free_responses(chain) / sigma[:, None]
     Q = np.linalg.qr(free.reshape(-1, free.shape[2]))[0]
     out = []
     for w in range(SETTLE, len(forces) // chain.window):
@@ -99,7 +99,7 @@ def bounds(chain: Chain, forces: FloatArray, sigma: FloatArray) -> FloatArray:
     return np.array(out)
 
 
-def _free(chain: Chain) -> FloatArray:
+def free_responses(chain: Chain) -> FloatArray:
     """(W, p, n) free responses."""
     values = dict(zip(chain.names, chain.theta.tolist(), strict=True))
     motion = equations(chain.graph, values | {f"m{i + 1}": m for i, m in enumerate(chain.masses)})

@@ -78,7 +78,9 @@ def operating_point(
 
     sharpest: (q,) the parameters' own sd in the sharpest windows: what the constants' effect is held against.
     """
-    # rows are of windows to come: constants walk until then
+    wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
+    shape = _shape(known, posterior, wider)
+    # rows are of windows to come: constants walk until then, and each row's own readings tell of them
     known = replace(known, constants=known.constants.predicted())
     eta = known.constants.standing[0]
     at = sampled(rig, known.theta, eta[: rig.masses], delays_of(rig, eta))
@@ -91,8 +93,6 @@ def operating_point(
     dA, dB, dC, dD = (np.stack(part) for part in zip(*columns, strict=True))
     model = StateSpace(*base, dA, dB, dC, dD)
     push = Push(at.E, seen.output_gain[:, None] * at.F)
-    wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
-    shape = _shape(known, posterior, wider)
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
         model, push, learnt, known.theta, at.unit, sharpest / at.unit, wider, shape,

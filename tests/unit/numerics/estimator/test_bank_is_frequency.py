@@ -82,12 +82,13 @@ def both(
 
 def only(constants: Constants, name: str) -> Constants:
     """One hypothesis of the sum, believed."""
-    first = next(i for i, h in enumerate(constants.hypotheses) if h.name == name)
+    labels = [f"{h.name} drifts" if h.drifts else h.name for h in constants.hypotheses]
+    first = labels.index(name)
     one = slice(first, first + 1)
     return Constants(constants.hypotheses[one], np.ones(1), constants.mean[one], constants.covariance[one])
 
 
-@pytest.mark.parametrize("believed", ["as configured", "within data sheet", "m1"])
+@pytest.mark.parametrize("believed", ["as configured", "within data sheet", "m1", "x1 drifts"])
 def test_bank_rows_weigh_the_constants_as_the_learner_does_whatever_the_excitation(believed: str) -> None:
     noise = DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
     rows, answers = both(ChainRig(), noise, 3, believed=believed, loudness=3.0)

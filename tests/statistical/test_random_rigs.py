@@ -1,0 +1,47 @@
+"""Random rigs that are no chains, right or nearly right: rows stay valid, intervals hold, nobody is accused
+falsely."""
+
+from collections.abc import Iterable
+from functools import partial
+
+import pytest
+
+from tests.statistical.machine import each, say
+from tests.statistical.nearly_right import Found, hold, together
+from tests.statistical.random_rigs import DRIVEN, FAULTS, PAIRS, case, play
+
+WINDOWS, RECORDINGS, RIGS = 40, 2, 6
+QUICK_WINDOWS = 20
+FIRST_SEED = 7000
+KINDS: tuple[tuple[str, ...], ...] = ((), *((kind,) for kind in (*FAULTS, *sorted(DRIVEN))), *PAIRS)
+QUICK = ((1, ("AR sensors", "one output")), (3, ("one mass", "hum")))
+"""Rigs, by their seeds, and what is wrong with them."""
+
+
+def name_of(kinds: Iterable[str]) -> str:
+    return ", ".join(kinds) or "right"
+
+
+@pytest.mark.parametrize(("seed", "kinds"), QUICK)
+def test_random_rig_that_is_nearly_right_gives_valid_rows_that_hold(
+    seed: int, kinds: tuple[str, ...], request: pytest.FixtureRequest
+) -> None:
+    found = play(seed, kinds, 0, QUICK_WINDOWS)
+    say(request, f"{name_of(kinds)}, rig {seed}, {QUICK_WINDOWS} windows: {found}")
+    hold(name_of(kinds), case(seed, kinds), found, 0.5)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kinds", KINDS, ids=name_of)
+def test_random_rigs_that_are_nearly_right_give_valid_rows_that_hold(
+    kinds: tuple[str, ...], request: pytest.FixtureRequest
+) -> None:
+    first = FIRST_SEED + 100 * KINDS.index(kinds)
+    seeds = range(first, first + RIGS)
+    for seed, found in zip(seeds, each(partial(_rig, kinds), seeds), strict=True):
+        say(request, f"{name_of(kinds)}, rig {seed}, {RECORDINGS} x {WINDOWS} windows: {found}")
+        hold(f"{name_of(kinds)}, rig {seed}", case(seed, kinds), found, 0.5)
+
+
+def _rig(kinds: tuple[str, ...], seed: int) -> Found:
+    return together([play(seed, kinds, recording, WINDOWS) for recording in range(RECORDINGS)])

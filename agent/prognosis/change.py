@@ -5,12 +5,8 @@
 where S is a yearly season.
 
 The variances are not known: each (s, τ, a) of a grid is weighed by its restricted likelihood (REML, Patterson
-& Thompson 1971), and levels and slopes are the mixture over the grid. So an interval is wide where a random
-walk cannot be told from scatter, and narrow where it can.
-
-Whether there is a trend is asked of the worst (s, τ, a) that the readings allow (Berger & Boos 1994, JASA
-89:1012), not of their average: a weak walk beside white scatter bends so little that half of the average is
-white scatter alone, to which every such walk is a trend.
+& Thompson 1971), and every answer is the mixture over the grid. So an interval is wide where a random walk
+cannot be told from scatter, and narrow where it can.
 """
 
 from dataclasses import dataclass
@@ -18,18 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.prognosis.history import History, blocks, sound
-from agent.types import BoolArray, FloatArray
+from agent.types import FloatArray
 
 MEANS = 32
 """Means that the change is asked of."""
-ASKED = 0.005
-"""Of each of the two questions, so that a history without a trend says "trend" less than once in twenty,
-weak walks beside scatter among them."""
-ALLOWED = 1.25
-"""Logarithm of a likelihood ratio by which a scatter may be less likely than the likeliest and is still
-thought of as the readings' own."""
-POSSIBLE = 0.01
-"""Of the average over scatters: what is more probable without a trend is no reason to look ahead."""
+ASKED = 0.01
+"""Of each of the two questions, so that a history without a trend says "trend" less than once in twenty."""
 FEWEST = 6
 """Rows below which only a line is asked for: neither its curvature nor its newest half can be told."""
 LINE = 3
@@ -38,22 +28,15 @@ YEAR = 365.25
 SEASONAL = 0.7
 """Years of history from which on a yearly season is thought of, and the share of the year's twelfths in which
 there must be readings: a curve through two months of it is any course there is."""
-BINS = 12
-"""Parts of a year."""
-TIMES = (1.0, 2.5)
-"""τ in steps between means."""
-BESIDE = (3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
-"""A random walk's variance a step beside white scatter of one; the larger of the two counts as one."""
-SHARES = (0.64, 0.06, 0.05, 0.1, *(0.025,) * 6)
-"""Prior probability of each shape: white, exp(−|Δt|/τ), a random walk, white beside walks."""
+TWELFTHS = 12
+SHARES = (0.6, 0.06, 0.04, 0.02, 0.15, 0.09, 0.04)
+"""Prior probability of each shape: white, three of exp(−|Δt|/τ), a random walk, white beside two walks."""
 SIZES = np.geomspace(0.02, 8.0, 13)
 """Standard deviations, in those of the differences of neighbours."""
 LEAST = 0.01
 """Least sd of a reading, in the same: one without a stated sd is not exact."""
 STRENGTHS = (None, 0.3, 1.0, 3.0)
 """Of a yearly season, in standard deviations of the readings; None without one."""
-LOG_RATIO = float(np.log(6.0))
-"""Logarithm by which each strength of a season is less probable beforehand than none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +51,8 @@ class Change:
         newest, newest_sd: slope of the newest half. rates: its density.
         curvature, curvature_sd: second derivative.
         p_whole, p_half: how probable as much change is without any, over the whole span and over its newest
-            half, at worst over the scatters that the readings allow.
-        p_mean: the same on average over them, of the less probable of the two.
-        trend: whether p_whole or p_half is below ASKED. possible: whether p_mean is below POSSIBLE.
+            half.
+        trend: whether either is below ASKED.
     """
 
     level: float
@@ -85,16 +67,11 @@ class Change:
     curvature_sd: float
     p_whole: float
     p_half: float
-    p_mean: float
     rates: "Rates"
 
     @property
     def trend(self) -> bool:
         return min(self.p_whole, self.p_half) < ASKED
-
-    @property
-    def possible(self) -> bool:
-        return self.p_mean < POSSIBLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,15 +91,11 @@ class Rates:
 
 @dataclass(frozen=True, slots=True)
 class _Mixture:
-    """Means (K, d), covariances (K, d, d) and weights (K,) of β over the grid of variances.
-
-    allowed: (K,) which of these the readings allow.
-    """
+    """Means (K, d), covariances (K, d, d) and weights (K,) of β over the grid of variances."""
 
     mean: FloatArray
     cov: FloatArray
     weight: FloatArray
-    allowed: BoolArray
 
     def moments(self, row: FloatArray) -> tuple[float, float]:
         """Return mean and sd of a linear function of β."""
@@ -154,15 +127,14 @@ class _Mixture:
         sd = np.sqrt(np.einsum("kij,i,j->k", self.cov, row, row))
         return Rates(per * (self.mean @ row), per * np.maximum(sd, 1e-300), self.weight)
 
-    def improbable(self, columns: list[int]) -> tuple[float, float]:
-        """Return how probable coefficients as far from 0 are where they are 0 (Wald): at worst, and mean."""
+    def improbable(self, columns: list[int]) -> float:
+        """Return how probable coefficients as far from 0 are where they are 0 (Wald), over the mixture."""
         from scipy.special import chdtrc
 
         mean = self.mean[:, columns]
         cov = self.cov[:, columns][:, :, columns]
         square = np.einsum("ki,ki->k", mean, np.linalg.solve(cov, mean[..., None])[..., 0])
-        probable = chdtrc(len(columns), square)
-        return float(probable[self.allowed].max()), float(self.weight @ probable)
+        return float(self.weight @ chdtrc(len(columns), square))
 
 
 def change(history: History, most: int = MEANS) -> Change | None:
@@ -212,9 +184,10 @@ class _Scatter:
         walk = (1.0 + np.minimum(t[:, None], t[None, :])) / step - np.eye(len(t)) / 6.0
         shapes = [
             white,
-            *(np.exp(-apart / k) for k in TIMES),
+            *(np.exp(-apart / k) for k in (1.0, 2.5, 6.0)),
             walk,
-            *((white + size * walk) / max(1.0, size) for size in BESIDE),
+            white + 0.1 * walk,
+            white + 0.01 * walk,
         ]
         turned = [np.linalg.eigh(R / np.outer(sd, sd)) for R in shapes]
         season = _season(t * span / YEAR)
@@ -229,8 +202,8 @@ class _Scatter:
 
 def _season(years: FloatArray) -> FloatArray:
     """Return cosine and sine of the year (m, 2), or (m, 0) where the readings leave too much of it out."""
-    covered = len(np.unique(np.floor(years % 1.0 * BINS)))
-    if years[-1] - years[0] <= SEASONAL or covered < SEASONAL * BINS:
+    covered = len(np.unique(np.floor(years % 1.0 * TWELFTHS)))
+    if years[-1] - years[0] <= SEASONAL or covered < SEASONAL * TWELFTHS:
         return np.zeros((len(years), 0))
     phase = 2.0 * np.pi * years
     return np.column_stack([np.cos(phase), np.sin(phase)])
@@ -246,16 +219,13 @@ def _reml(X: FloatArray, y: FloatArray, scatter: _Scatter) -> _Mixture:
         spread = 1.0 + np.multiply.outer(scatter.sizes**2, values)
         gram.append(np.einsum("ki,ia,ib->kab", 1.0 / spread, turned, turned))
         log_det.append(np.log(spread).sum(axis=1))
-    strengths = STRENGTHS if seasonal else (None,)
-    found = [_weighed(np.concatenate(gram), p, a) for a in strengths]
-    likely = np.concatenate([more - 0.5 * np.concatenate(log_det) for *_, more in found])
-    shares = np.repeat(scatter.log_prior, len(scatter.sizes))
-    prior = np.concatenate([shares - (0.0 if a is None else LOG_RATIO) for a in strengths])
-    weight = np.exp(likely + prior - (likely + prior).max())
+    prior = np.repeat(scatter.log_prior, len(scatter.sizes)) - 0.5 * np.concatenate(log_det)
+    found = [_weighed(np.concatenate(gram), p, a) for a in (STRENGTHS if seasonal else (None,))]
+    log_weight = np.concatenate([prior + more for *_, more in found])
+    weight = np.exp(log_weight - log_weight.max())
     return _Mixture(
-        np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]), weight / weight.sum(),
-        likely > likely.max() - ALLOWED,
-    )  # fmt: skip
+        np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]), weight / weight.sum()
+    )
 
 
 def _weighed(gram: FloatArray, p: int, strength: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -272,7 +242,7 @@ def _weighed(gram: FloatArray, p: int, strength: float | None) -> tuple[FloatArr
     square = gram[:, last, last] - np.einsum("ki,ki->k", b, beta)
     _, log_det = np.linalg.slogdet(cov)
     log_weight = 0.5 * (log_det - square + np.log(precision[p:]).sum())
-    return beta[:, :p], cov[:, :p, :p], log_weight
+    return beta[:, :p], cov[:, :p, :p], log_weight - (0.0 if strength is None else np.log(6.0))
 
 
 def _line(whole: _Mixture, origin: float, size: float, span: float) -> Change:
@@ -282,10 +252,10 @@ def _line(whole: _Mixture, origin: float, size: float, span: float) -> Change:
     per = size / span
     slope, slope_sd = (per * moment for moment in whole.moments(row))
     lower, upper = (per * end for end in whole.interval(row, 0.95))
-    worst, mean = whole.improbable([1])
+    p = whole.improbable([1])
     return Change(
         origin + size * level, size * level_sd, slope, slope_sd, lower, upper, slope, slope_sd, 0.0, np.inf,
-        worst, 1.0, mean, whole.rates(row, per),
+        p, 1.0, whole.rates(row, per),
     )  # fmt: skip
 
 
@@ -299,9 +269,8 @@ def _answer(
     recent = np.array([0.0, 0.0, 0.0, 1.0])
     per = size / span
     newest, newest_sd = half.moments(recent)
-    (p_whole, mean), (p_half, mean_half) = bent.improbable([1, 2]), half.improbable([3])
     return Change(
         origin + size * level, size * level_sd, per * slope, per * slope_sd, per * lower, per * upper,
         per * newest, per * newest_sd, per / span * curvature, per / span * curvature_sd,
-        p_whole, p_half, min(mean, mean_half), half.rates(recent, per),
+        bent.improbable([1, 2]), half.improbable([3]), half.rates(recent, per),
     )  # fmt: skip

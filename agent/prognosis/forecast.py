@@ -141,7 +141,7 @@ def _log_spread(draws: FloatArray) -> float:
 
 def _steady(history: History) -> bool:
     found = change(history)
-    return found is None or not found.possible
+    return found is None or not found.trend
 
 
 def _past_limit(readings: Readings, scale: Scale) -> bool:

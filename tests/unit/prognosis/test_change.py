@@ -34,30 +34,6 @@ def test_change_years_without_a_trend_seldom_say_trend(rng: np.random.Generator,
     assert false_trends(rng, kind, 40) <= 0.125  # 5 % of 40 are 2; more than 5 come in 1.4 % of seeds
 
 
-@pytest.mark.parametrize("stated", [True, False])
-def test_change_weak_walk_beside_scatter_is_seldom_a_trend(rng: np.random.Generator, stated: bool) -> None:
-    """It bends so little that white scatter explains it as well, to which each such walk were a trend."""
-    assert weak_trends(rng, 60, 1.0 if stated else 0.0) <= 0.1
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("stated", [True, False])
-def test_change_weak_walks_of_many_months_are_trends_in_a_twentieth(
-    rng: np.random.Generator, stated: bool
-) -> None:
-    share = weak_trends(rng, 500, 1.0 if stated else 0.0)
-    figure(f"false trends, weak walk beside noise, sd {'' if stated else 'not '}stated: {100 * share:.1f} %")
-    assert share <= 0.05
-
-
-def weak_trends(rng: np.random.Generator, count: int, sd: float) -> float:
-    """Share of months of 200 rows whose walk moves a tenth of the rows' scatter a row."""
-    t = np.linspace(0.0, 30.0, 200)
-    months = (np.cumsum(0.1 * rng.standard_normal(200)) + rng.standard_normal(200) for _ in range(count))
-    found = [change(History(t, value, np.full(200, sd))) for value in months]
-    return float(np.mean([f is not None and f.trend for f in found]))
-
-
 def test_change_of_two_months_a_year_apart_thinks_of_no_season(rng: np.random.Generator) -> None:
     """A season through two months of the year is any course there is: the line rose while the level fell."""
     t = np.arange(60.0)

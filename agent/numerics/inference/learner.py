@@ -238,7 +238,7 @@ class Learner:
     # ------------------------------------------------------------------ what it says
     def _constants_after(self, at: Linearised, known: Knowledge) -> Constants:
         S, g, *_ = at.eliminated
-        temper = max(1.0, float(np.mean(known.scatter.factor)))
+        temper = max(at.repeats, float(np.mean(known.scatter.factor)))
         return known.constants.updated(S / temper, g / temper, known.eta)
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
@@ -256,7 +256,8 @@ class Learner:
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)
         jump, raw, (excess, beyond), power, dof = self._tests(at, known)
-        wider = wider * known.scatter.factor * louder(power, dof, known.noise.unsure)
+        wider = np.maximum(wider * known.scatter.factor, at.repeats)
+        wider = wider * louder(power, dof, known.noise.unsure)
         extra = u**2 * own * (wider - 1)
         sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
         lower, upper = interval95(after.weight, means, sds)
@@ -357,7 +358,7 @@ def _estimate(at: Linearised, eta: FloatArray) -> Estimate:
     """Return what a window says with the constants eta (c,) at which it is linearised."""
     _, _, alone, V, Z = at.eliminated
     unit = at.unit
-    return Estimate(at.theta + unit * alone, np.outer(unit, unit) * V, -unit[:, None] * Z, eta)
+    return Estimate(at.theta + unit * alone, at.repeats * np.outer(unit, unit) * V, -unit[:, None] * Z, eta)
 
 
 def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:

@@ -74,8 +74,9 @@ def read(
 ) -> Reading:  # fmt: skip
     """Return what windows of a length say, constants and intensities as known at the operating point.
 
-    repeats: (N,) factor on the variance, by readings that repeat one code. jump_before: the newest statistic of a jump before these rows, which stands until the next row that is
-    scanned. far_sd: sds from the point beyond which a window is linearised too far away.
+    repeats: (N,) factor on the variance, by readings that repeat one code. jump_before: the newest statistic
+    of a jump before these rows, which stands until the next row that is scanned. far_sd: sds from the point
+    beyond which a window is linearised too far away.
     """
     normal = windowed.normal
     q = len(point.theta)

@@ -26,7 +26,6 @@ from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.windows import chosen, clean
 from agent.numerics.fitting.work import Budget
 from agent.numerics.inference import tuning
-from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.window.rows import BankRows, Windowed
 from agent.types import BoolArray, FloatArray, IntArray, Reason
 
@@ -178,7 +177,7 @@ class SlidingEstimator:
         assert known is not None  # noqa: S101 - known since the first window
         far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
         window = self.settings.plan.window
-        repeats = by_repeats(record.changes_in(windowed.index, window), window)
+        repeats = record.repeats_in(windowed.index, window)
         reading = read(windowed, point, window, repeats, self._jump, far_sd)
         hollow = self._hollow(record, reading.index) | reading.unsolved
         still = self._still(record, reading.index)
@@ -227,7 +226,7 @@ class SlidingEstimator:
         each = zip(self.settings.longer, batch.windows[1:], strict=True)
         return [
             None if windowed is None
-            else read(windowed, point, samples, by_repeats(record.changes_in(windowed.index, samples), samples))
+            else read(windowed, point, samples, record.repeats_in(windowed.index, samples))
             for samples, windowed in each
         ]  # fmt: skip
 

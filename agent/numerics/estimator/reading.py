@@ -9,6 +9,7 @@ from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.operating_point import OperatingPoint
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise import chance, louder
+from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
 from agent.types import BoolArray, FloatArray, IntArray
@@ -101,10 +102,10 @@ def read(
     rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
     excess = np.log(rss / dof) / chance(dof, point.unsure)
-    wider = np.maximum(point.wider, again) * louder(rss / dof, dof, point.unsure)[:, None]
+    own_wider = own * widened(point.wider, again) * louder(rss / dof, dof, point.unsure)[:, None]
     # a row that is far from the point carries the term of second order that it neglects, until it is solved
     neglected = np.where(far.any(axis=1)[:, None], d[:, :q] ** 2, 0.0)
-    repeat = point.unit * np.hypot(np.sqrt(own * wider), neglected)
+    repeat = point.unit * np.hypot(np.sqrt(own_wider), neglected)
     shape = point.shape
     width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
     jump = np.full(len(rss), jump_before)

@@ -198,7 +198,8 @@ class Lineariser:
         ridge = self.ridge(
             regression.layout, window, constants.total, constants.expected - known.eta, noise.intensity
         )
-        repeats = float(by_repeats(np.count_nonzero(rows_with(np.diff(window.y, axis=0) != 0)), self.window))
+        changes = int(np.count_nonzero(rows_with(np.diff(window.y, axis=0) != 0)))
+        repeats = float(by_repeats(changes, self.window))
         return Linearised(theta, response.at.unit, regression, cells, G, Si, ridge, True, repeats)
 
     def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:

@@ -143,6 +143,14 @@ def by_repeats(changes: IntArray | int, samples: int) -> FloatArray:
     return np.asarray(np.maximum(1.0, samples / (2.0 * (changes + 1.0))))
 
 
+def widened(factor: FloatArray, repeats: FloatArray | float) -> FloatArray:
+    """Return a factor on the variance, no less than that by repeated codes where there is one.
+
+    Both tell how many readings there truly are, so they do not multiply.
+    """
+    return np.where(np.greater(repeats, 1.0), np.maximum(factor, repeats), factor)
+
+
 def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) -> FloatArray:
     """Return r (q,) from block Grams (J, k+1, k+1) of [columns, residual] and columns' prior (k, k), (k,)."""
     k = len(R)

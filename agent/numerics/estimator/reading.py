@@ -9,6 +9,7 @@ from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.operating_point import OperatingPoint
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise import chance, louder
+from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
 from agent.types import BoolArray, FloatArray, IntArray
@@ -69,12 +70,14 @@ class Reading:
 
 
 def read(
-    windowed: Windowed, point: OperatingPoint, samples: int, jump_before: float = 0.0, far_sd: float = FAR_SD
-) -> Reading:
+    windowed: Windowed, point: OperatingPoint, samples: int, repeats: FloatArray | float = 1.0,
+    jump_before: float = 0.0, far_sd: float = FAR_SD,
+) -> Reading:  # fmt: skip
     """Return what windows of a length say, constants and intensities as known at the operating point.
 
-    jump_before: the newest statistic of a jump before these rows, which stands until the next row that is
-    scanned. far_sd: sds from the point beyond which a window is linearised too far away.
+    repeats: (N,) factor on the variance, by readings that repeat one code. jump_before: the newest statistic
+    of a jump before these rows, which stands until the next row that is scanned. far_sd: sds from the point
+    beyond which a window is linearised too far away.
     """
     normal = windowed.normal
     q = len(point.theta)
@@ -90,7 +93,8 @@ def read(
         np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0)
     )
     theta = point.theta + point.unit * d[:, :q]
-    sharp = np.sqrt(own)
+    again = np.broadcast_to(np.asarray(repeats, dtype=np.float64), len(own))[:, None]
+    sharp = np.sqrt(again * own)
     # the point was found by sharper windows: a poor one moves it only by what chance never does
     least = np.where(sharp > POORER * point.sharpest, FARTHEST_SD, far_sd)
     far = np.abs(d[:, :q]) > np.maximum(least * sharp, np.sqrt(FAR_CURVATURE * sharp))
@@ -98,7 +102,10 @@ def read(
     rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
     excess = np.log(rss / dof) / chance(dof, point.unsure)
-    repeat = point.unit * np.sqrt(own * point.wider * louder(rss / dof, dof, point.unsure)[:, None])
+    own_wider = own * widened(point.wider, again) * louder(rss / dof, dof, point.unsure)[:, None]
+    # a row that is far from the point carries the term of second order that it neglects, until it is solved
+    neglected = np.where(far.any(axis=1)[:, None], d[:, :q] ** 2, 0.0)
+    repeat = point.unit * np.hypot(np.sqrt(own_wider), neglected)
     shape = point.shape
     width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
     jump = np.full(len(rss), jump_before)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.numerics.estimator.doubts import Doubts
+from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
@@ -75,6 +76,10 @@ class Record:
     def changes_in(self, index: IntArray, window: int) -> IntArray:
         """Return in how many samples (N,) of windows ending at samples `index` some output changes code."""
         return self._count(self._changed, index, window - 1)
+
+    def repeats_in(self, index: IntArray, window: int) -> FloatArray:
+        """Return factors (N,) on the variance, by repeated codes, of windows that end at samples `index`."""
+        return by_repeats(self.changes_in(index, window), window)
 
     def _count(self, marks: BoolArray, index: IntArray, samples: int) -> IntArray:
         """(N,) marks among so many samples that end at samples `index`."""

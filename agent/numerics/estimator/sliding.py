@@ -156,7 +156,7 @@ class SlidingEstimator:
         windowed, point = arrived.windows[0], self.explainer.bank.point
         if windowed is None or point is None:
             return Outcome.warming(arrived.index, self.settings.rig.q)
-        batch = self._batch(record, windowed, self._longer(arrived, point), point)
+        batch = self._batch(record, windowed, self._longer(record, arrived, point), point)
         stop, moved = self._acted(record, batch)
         rows = batch.rows.part(0, stop)
         if batch.longer:
@@ -176,7 +176,9 @@ class SlidingEstimator:
         faults, known = self.explainer.faults, self.explainer.known
         assert known is not None  # noqa: S101 - known since the first window
         far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
-        reading = read(windowed, point, self.settings.plan.window, self._jump, far_sd)
+        window = self.settings.plan.window
+        repeats = record.repeats_in(windowed.index, window)
+        reading = read(windowed, point, window, repeats, self._jump, far_sd)
         hollow = self._hollow(record, reading.index) | reading.unsolved
         still = self._still(record, reading.index)
         frozen = faults.frozen_in(record, reading.index, still)
@@ -219,10 +221,14 @@ class SlidingEstimator:
             return False
         return self._meet(record, batch, i)
 
-    def _longer(self, batch: BankRows, point: OperatingPoint) -> list[Reading | None]:
+    def _longer(self, record: Record, batch: BankRows, point: OperatingPoint) -> list[Reading | None]:
         """Return what the longer windows say; None of one that is not whole yet."""
         each = zip(self.settings.longer, batch.windows[1:], strict=True)
-        return [None if windowed is None else read(windowed, point, samples) for samples, windowed in each]
+        return [
+            None if windowed is None
+            else read(windowed, point, samples, record.repeats_in(windowed.index, samples))
+            for samples, windowed in each
+        ]  # fmt: skip
 
     def _still(self, record: Record, index: IntArray) -> BoolArray:
         """(N,) windows that end at samples `index` which teach nothing: codes rest, or show only noise."""

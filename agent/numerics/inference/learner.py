@@ -16,7 +16,7 @@ from agent.numerics.inference.lines import with_lines
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, first_nodes, learn, louder
 from agent.numerics.inference.posterior import Knowledge, Line, Posterior
-from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio
+from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio, widened
 from agent.numerics.inference.spectral.algebra import inverse, quadratic
 from agent.numerics.inference.spectral.columns import Regressor, Window
 from agent.numerics.inference.spectral.sources import sources_of
@@ -238,7 +238,7 @@ class Learner:
     # ------------------------------------------------------------------ what it says
     def _constants_after(self, at: Linearised, known: Knowledge) -> Constants:
         S, g, *_ = at.eliminated
-        temper = max(1.0, float(np.mean(known.scatter.factor)))
+        temper = max(at.repeats, float(np.mean(known.scatter.factor)))
         return known.constants.updated(S / temper, g / temper, known.eta)
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
@@ -256,7 +256,7 @@ class Learner:
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)
         jump, raw, (excess, beyond), power, dof = self._tests(at, known)
-        wider = wider * known.scatter.factor * louder(power, dof, known.noise.unsure)
+        wider = widened(wider * known.scatter.factor, at.repeats) * louder(power, dof, known.noise.unsure)
         extra = u**2 * own * (wider - 1)
         sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
         lower, upper = interval95(after.weight, means, sds)
@@ -357,7 +357,7 @@ def _estimate(at: Linearised, eta: FloatArray) -> Estimate:
     """Return what a window says with the constants eta (c,) at which it is linearised."""
     _, _, alone, V, Z = at.eliminated
     unit = at.unit
-    return Estimate(at.theta + unit * alone, np.outer(unit, unit) * V, -unit[:, None] * Z, eta)
+    return Estimate(at.theta + unit * alone, at.repeats * np.outer(unit, unit) * V, -unit[:, None] * Z, eta)
 
 
 def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:

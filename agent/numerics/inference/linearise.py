@@ -8,6 +8,7 @@ import numpy as np
 from agent.numerics.inference import tuning
 from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, layout_free
 from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
 from agent.numerics.inference.spectral.bins import bins_of
 from agent.numerics.inference.spectral.columns import Layout, Regression, Regressor, Window
@@ -17,6 +18,7 @@ from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source, directions
 from agent.numerics.inference.spectral.tuning import ALL_BINS, MOST_BINS
 from agent.numerics.model.uncertain import Rig, delays_of, sampled, unit_of
+from agent.numerics.preprocessing.rows import rows_with
 from agent.types import ComplexArray, FloatArray, IntArray
 
 
@@ -28,6 +30,7 @@ class Linearised:
         theta: (q,) the point;  unit: (q,) size of a deviation of 1.
         regression, cells, regressor: the window there.
         G: Gram of all columns, residual last;  Si: S⁻¹;  ridge: the prior;  converged: it came to rest.
+        repeats: factor on the variance, by readings that repeat one code.
     """
 
     theta: FloatArray
@@ -38,6 +41,7 @@ class Linearised:
     Si: ComplexArray
     ridge: Ridge
     converged: bool
+    repeats: float = 1.0
 
     @cached_property
     def eliminated(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -194,7 +198,9 @@ class Lineariser:
         ridge = self.ridge(
             regression.layout, window, constants.total, constants.expected - known.eta, noise.intensity
         )
-        return Linearised(theta, response.at.unit, regression, cells, G, Si, ridge, True)
+        changes = int(np.count_nonzero(rows_with(np.diff(window.y, axis=0) != 0)))
+        repeats = float(by_repeats(changes, self.window))
+        return Linearised(theta, response.at.unit, regression, cells, G, Si, ridge, True, repeats)
 
     def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:
         """(kept, n, p) regression of the states that unknown forces drive on the readings: Cov(x, y) S⁻¹."""
@@ -285,6 +291,7 @@ class Lineariser:
         Where they disagree the window alone is the next point.
         """
         _, _, alone, V, _ = self._anchored(at, known.theta).eliminated
+        V = at.repeats * V
         here, sd = at.theta + at.unit * alone, at.unit * np.sqrt(np.diag(V))
         information = inverse(V * np.outer(at.unit, at.unit))
         agree = np.all(np.abs(here - known.theta) < tuning.AGREE_SD * sd)

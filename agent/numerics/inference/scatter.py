@@ -20,7 +20,7 @@ from scipy.special import expit, gammaln
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import inverse
-from agent.types import ComplexArray, FloatArray
+from agent.types import ComplexArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +131,24 @@ def expected(pooled: FloatArray, seen: float) -> FloatArray:
     slab = gammaln(after) - gammaln(0.5 * prior) + 0.5 * prior * np.log(0.5 * prior)
     odds = slab - after * np.log(0.5 * (prior + power)) + 0.5 * power  # log Bayes factor against the model
     return np.asarray(1 + expit(odds) * (np.maximum(pooled, 1.0) - 1))
+
+
+def by_repeats(changes: IntArray | int, samples: int) -> FloatArray:
+    """Return factors (N,) on the model's variance of windows in whose samples outputs change code so often.
+
+    A reading that repeats the one before it, to the last bit, is no second one: rounding has no other value
+    for it, so the error is the same. White noise that spans codes changes them at half of the samples or
+    more, which leaves 1.
+    """
+    return np.asarray(np.maximum(1.0, samples / (2.0 * (changes + 1.0))))
+
+
+def widened(factor: FloatArray, repeats: FloatArray | float) -> FloatArray:
+    """Return a factor on the variance, no less than that by repeated codes where there is one.
+
+    Both tell how many readings there truly are, so they do not multiply.
+    """
+    return np.where(np.greater(repeats, 1.0), np.maximum(factor, repeats), factor)
 
 
 def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) -> FloatArray:

@@ -5,7 +5,14 @@ import pytest
 from scipy.special import gammaln
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio, expected
+from agent.numerics.inference.scatter import (
+    Estimate,
+    Scatter,
+    block_grams,
+    block_ratio,
+    by_repeats,
+    expected,
+)
 
 FREE = np.zeros((3, 3))
 
@@ -128,3 +135,10 @@ def test_scatter_says_what_the_windows_before_said_until_one_differs() -> None:
     assert covariance[0, 0] == pytest.approx(0.5 + tuning.STEADY_WALK)
     assert known.steady(estimate(9.0)) is None
     assert known.interrupted().steady(estimate(1.6)) is None
+
+
+def test_readings_that_repeat_a_code_count_once_and_those_of_white_noise_each() -> None:
+    rng = np.random.default_rng(4)
+    white = np.round(rng.standard_normal(2000))
+    changes = np.array([np.count_nonzero(np.diff(white)), 99, 0])
+    np.testing.assert_allclose(by_repeats(changes, 2000), [1.0, 10.0, 1000.0])

@@ -1,0 +1,61 @@
+"""ECP-210 with its second cart held: rests of seconds on dry friction, between two step responses."""
+
+from pathlib import Path
+
+import pytest
+
+from agent.runtime.replay import replay
+from tests.figures import figure
+from tests.peers import data
+from tests.replay.records import rows_of
+
+STIFFNESS = (3.25e-4, 3.61e-4)
+"""What k1 + k2 came to in five runs, V/count."""
+TEXT = """
+[rig]
+name = "clamped"
+sample_rate_hz = 887.1
+clock = "uniform"
+[model]
+kind = "mass-spring-damper"
+mass = [{{ name = "m1", value = 7.474e-7 }}]
+spring = [{{ name = "k", between = ["ground", "m1"], nominal = 3.4e-4 }}]
+damper = [{{ name = "B", between = ["ground", "m1"], nominal = 2.3e-6 }}]
+[[channel]]
+name = "effort"
+quantity = "force"
+at = "m1"
+unit = "V"
+scale = 1.220703125e-3
+[[channel]]
+name = "x1"
+quantity = "displacement"
+at = "m1"
+unit = "counts"
+bias = true
+[estimator]
+window_s = {window_s}
+hop_s = {hop_s}
+hold = "zero"
+[[alarm]]
+parameter = "k"
+limit_percent = 15.0
+[columns]
+effort = "Control Effort"
+x1 = "Encoder 1 Pos"
+"""
+
+
+@pytest.mark.parametrize(
+    "window_s", [3.0, *(pytest.param(w, marks=pytest.mark.soak) for w in (1.0, 1.5, 2.0))]
+)
+def test_windows_that_mostly_rest_are_not_sure_of_a_wrong_stiffness(tmp_path: Path, window_s: float) -> None:
+    config, database = tmp_path / "clamped.toml", tmp_path / "clamped.db"
+    config.write_text(TEXT.format(window_s=window_s, hop_s=window_s / 20), encoding="utf-8")
+    document = replay(config=config, recordings=[data("ecp210/m2_clamped_a.txt")], db=database)
+    rows = [r for r in rows_of(database) if r["parameter"] == "k" and r["status"] == "valid"]
+    held = [r["lower"] <= STIFFNESS[1] and r["upper"] >= STIFFNESS[0] for r in rows]
+    figure(f"ECP-210 clamped, windows of {window_s:g} s: {sum(held)} of {len(held)} valid intervals hold")
+    assert len(held) >= 5
+    assert sum(held) >= 0.85 * len(held)
+    assert document["alarms"] == []

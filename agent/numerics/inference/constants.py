@@ -47,14 +47,15 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses on a rig's constants; those that no data show are within their data sheets."""
     sheet = np.array([c.sheet for c in constants])
     shows = np.array([c.shows for c in constants], dtype=bool)
-    held = np.array([c.is_held for c in constants], dtype=bool)
+    either_or = np.array([c.is_either_or for c in constants], dtype=bool)
+    apart = np.array([c.apart for c in constants], dtype=bool)
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
-    base = [("as configured", _within(sheet, shows, held, tuning.AS_CONFIGURED), quiet)]
+    base = [("as configured", _within(sheet, shows, either_or, tuning.AS_CONFIGURED), quiet)]
     base += [
         (
             "within data sheet",
-            _within(sheet, shows, held, factor),
-            np.diag((tuning.SHEET_WALK * np.where(held, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
+            _within(sheet, shows, either_or, factor),
+            np.diag((tuning.SHEET_WALK * np.where(either_or, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
         )
         for factor in tuning.SHEET_FACTORS
     ]
@@ -63,28 +64,25 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off = _off(constants)
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     others = []
-    for name, e, drifts, size, walk in off:
-        # a force that is held says nothing of how well all else is known
-        beside = healthy if e @ held else healthy[:1]
+    for name, e, drifts, spread, walk in off:
+        # a force that is held, or acts late, says nothing of how well all else is known
+        beside = healthy if e @ apart else healthy[:1]
         share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside)
         others += [
-            Hypothesis(
-                name, e, drifts, b.covariance + size**2 * np.outer(e, e), b.walk + walk**2 * np.outer(e, e),
-                share,
-            )
+            Hypothesis(name, e, drifts, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
             for b in beside
-        ]  # fmt: skip
+        ]
     return tuple(healthy + others)
 
 
 def _within(
-    sheet: FloatArray, shows: NDArray[np.bool_], held: NDArray[np.bool_], factor: float
+    sheet: FloatArray, shows: NDArray[np.bool_], either_or: NDArray[np.bool_], factor: float
 ) -> FloatArray:
     """Covariance of constants within a factor of their data sheets; those no data show stay at theirs.
 
-    A force that is held is a hypothesis of its own: in these it runs as configured.
+    What is so or not of a force is a hypothesis of its own: in these it runs as configured.
     """
-    share = np.where(held, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
+    share = np.where(either_or, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
     return np.diag((share * sheet) ** 2)
 
 
@@ -93,24 +91,31 @@ def _least(sheet: FloatArray) -> FloatArray:
     return np.diag(np.where(sheet > 0, 0.0, 1e-12))
 
 
-def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, bool, float, float]]:
-    """(name, members, drifts, prior sd, walk) of everything that may be off."""
-    out: list[tuple[str, FloatArray, bool, float, float]] = []
+def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, bool, FloatArray, float]]:
+    """(name, members, drifts, prior covariance (c, c), walk) of everything that may be off."""
+    out: list[tuple[str, FloatArray, bool, FloatArray, float]] = []
     single = [
         (c.name, np.eye(len(constants))[i], c.kind)
         for i, c in enumerate(constants)
-        if c.sheet > 0 and c.shows
+        if c.sheet > 0 and c.shows and not _comes_along(c)
     ]
+    along = np.diag([tuning.OFF_DELAY**2 * _comes_along(c) for c in constants])
     for kind, name in GROUPS:
         together = np.array([float(c.kind == kind and c.sheet > 0 and c.shows) for c in constants])
         if together.sum() > 1:
             single.append((name, together, kind))
     for name, members, kind in single:
         size = tuning.OFF_DELAY if kind == "delay" else tuning.OFF_RELATIVE
-        out.append((name, members, False, size, 0.0))
+        spread = size**2 * np.outer(members, members) + (along if kind == "delay" else 0.0)
+        out.append((name, members, False, spread, 0.0))
         if kind in ("output", "input"):
-            out.append((name, members, True, size, tuning.DRIFT_WALK))
+            out.append((name, members, True, spread, tuning.DRIFT_WALK))
     return out
+
+
+def _comes_along(constant: Constant) -> bool:
+    """Whether it is open wherever inputs are late, and nowhere else: when a step is seen that comes late."""
+    return constant.is_either_or and not constant.apart
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def test_constants_that_are_exact_have_no_hypothesis() -> None:
 
 
 def test_a_force_is_held_or_runs_as_configured_however_well_all_else_is_known() -> None:
-    late = tuple(Constant("delay", "delay", number, 0.25) for number in (0, 1))
+    late = tuple(Constant("delay", "delay", number, 0.25, apart=number == 1) for number in (0, 1))
     found = hypotheses_of((*CONSTANTS, *late))
     held = [h for h in found if h.members[4]]
     healthy = [h for h in found if not h.members.any()]

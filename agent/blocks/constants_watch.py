@@ -93,7 +93,8 @@ class ConstantsWatch:
 
     def _ties(self, beliefs: Sequence[Belief], t_ns: int) -> list[HealthEvent]:
         """An event when several explanations share what is off between them."""
-        tied = tuple(b.label for b in beliefs if b.probability >= TIED)
+        # what is sure is off beside them, not in their place
+        tied = tuple(b.label for b in beliefs if TIED <= b.probability < SURE)
         together = sum(b.probability for b in beliefs if b.label in tied)
         tied = tied if len(tied) > 1 and together >= SURE else ()
         news, self._tie = tied != self._tie and bool(tied), tied

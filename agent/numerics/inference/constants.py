@@ -5,7 +5,7 @@ one group (all masses, all outputs, all inputs) off, or drifting. Each carries m
 window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +33,7 @@ class Hypothesis:
         drifts: whether it changes from window to window.
         covariance, walk: (c, c) prior covariance and random walk a window.
         prior: probability before any data.
+        late: (c,) 1 for the delay of commanded inputs, where that is off beside what `name` says; None else.
     """
 
     name: str
@@ -41,10 +42,21 @@ class Hypothesis:
     covariance: FloatArray
     walk: FloatArray
     prior: float
+    late: FloatArray | None = None
+
+    @property
+    def says(self) -> tuple[tuple[str, FloatArray, bool], ...]:
+        """What is off by it: name, members (c,), and whether it drifts."""
+        here = ((self.name, self.members, self.drifts),) if self.members.any() else ()
+        return here if self.late is None else (*here, ("delay", self.late, False))
 
 
 def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
-    """Return the hypotheses on a rig's constants; those that no data show are within their data sheets."""
+    """Return the hypotheses on a rig's constants; those that no data show are within their data sheets.
+
+    A force that is held, or a commanded one that acts late, says nothing of how well all else is known: its
+    hypothesis stands beside each of those. Of a commanded one it stands beside what else may be off, too.
+    """
     sheet = np.array([c.sheet for c in constants])
     shows = np.array([c.shows for c in constants], dtype=bool)
     either_or = np.array([c.is_either_or for c in constants], dtype=bool)
@@ -65,14 +77,21 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     others = []
     for name, e, drifts, spread, walk in off:
-        # a force that is held, or acts late, says nothing of how well all else is known
         beside = healthy if e @ apart else healthy[:1]
         share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside)
         others += [
             Hypothesis(name, e, drifts, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
             for b in beside
         ]
-    return tuple(healthy + others)
+    commanded = [(e, spread) for _, e, _, spread, _ in off if e @ (apart & ~either_or)]
+    share = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
+    both = [
+        replace(h, covariance=h.covariance + spread, prior=share * h.prior, late=e)
+        for e, spread in commanded
+        for h in others
+        if not h.members @ e
+    ]
+    return tuple(healthy + others + both)
 
 
 def _within(
@@ -200,4 +219,10 @@ class Constants:
 
     def probability(self, name: str) -> float:
         """Return the probability that what is called `name` is off or drifts."""
-        return float(sum(w for w, h in zip(self.weight, self.hypotheses, strict=True) if h.name == name))
+        return float(
+            sum(
+                w
+                for w, h in zip(self.weight, self.hypotheses, strict=True)
+                if name in {said for said, _, _ in h.says}
+            )
+        )

@@ -38,7 +38,7 @@ def test_verdict_names_size_and_kind() -> None:
 
 
 def test_ways_in_which_the_same_may_be_off_are_one_belief() -> None:
-    late = tuple(Constant("delay", "delay", number, 0.2) for number in (0, 1))
+    late = tuple(Constant("delay", "delay", number, 0.2, apart=number == 1) for number in (0, 1))
     prior = Constants.prior(hypotheses_of(late))
     ways = [i for i, h in enumerate(prior.hypotheses) if h.name == "delay"]
     members = np.array([h.members for h in prior.hypotheses])

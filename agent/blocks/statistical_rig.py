@@ -288,7 +288,11 @@ def _delay_samples(config: RigConfig) -> float:
     if _has_friction(config) or not config.inputs or config.estimator.hold not in ("first", "zero"):
         return 0.0
     stated = [c.delay_sd_s for c in config.inputs if c.delay_sd_s is not None]
-    return max(stated) * config.rig.sample_rate_hz if stated else DELAY_SHEET
+    if stated:
+        return max(stated) * config.rig.sample_rate_hz
+    # where forces are denied, a delay of commands would stand for what the model lacks (ECP-210: m1 -6 %)
+    is_denied = _is_white(config) and config.estimator.hold == "zero"
+    return 0.0 if is_denied else DELAY_SHEET
 
 
 def _holding(config: RigConfig) -> set[str]:

@@ -113,23 +113,28 @@ def _least(sheet: FloatArray) -> FloatArray:
 def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, bool, FloatArray, float]]:
     """(name, members, drifts, prior covariance (c, c), walk) of everything that may be off."""
     out: list[tuple[str, FloatArray, bool, FloatArray, float]] = []
-    single = [
-        (c.name, np.eye(len(constants))[i], c.kind)
-        for i, c in enumerate(constants)
-        if c.sheet > 0 and c.shows and not _comes_along(c)
-    ]
     along = np.diag([tuning.OFF_DELAY**2 * _comes_along(c) for c in constants])
-    for kind, name in GROUPS:
-        together = np.array([float(c.kind == kind and c.sheet > 0 and c.shows) for c in constants])
-        if together.sum() > 1:
-            single.append((name, together, kind))
-    for name, members, kind in single:
-        size = tuning.OFF_DELAY if kind == "delay" else tuning.OFF_RELATIVE
-        spread = size**2 * np.outer(members, members) + (along if kind == "delay" else 0.0)
+    for name, members, kind in _sets(constants):
+        if kind == "delay":
+            out.append((name, members, False, tuning.OFF_DELAY**2 * np.outer(members, members) + along, 0.0))
+            continue
+        spread = tuning.OFF_RELATIVE**2 * np.outer(members, members)
         out.append((name, members, False, spread, 0.0))
         if kind in ("output", "input"):
             out.append((name, members, True, spread, tuning.DRIFT_WALK))
     return out
+
+
+def _sets(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, Kind]]:
+    """(name, members, kind) of each constant that may be off by itself, then of groups that may together."""
+    can = np.array([c.sheet > 0 and c.shows for c in constants], dtype=bool)
+    unit = np.eye(len(constants))
+    sets = [(c.name, unit[i], c.kind) for i, c in enumerate(constants) if can[i] and not _comes_along(c)]
+    for kind, name in GROUPS:
+        together = (can & [c.kind == kind for c in constants]).astype(float)
+        if together.sum() > 1:
+            sets.append((name, together, kind))
+    return sets
 
 
 def _comes_along(constant: Constant) -> bool:

@@ -59,7 +59,7 @@ def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> 
     information = _information(whole, _free(at.A, at.C, len(u)), sigma)
     q = rig.q
     # what is so or not of a force is a hypothesis of its own, in no interval before data speak for it
-    sheet = np.array([1e-9 if c.is_either_or else max(c.sheet, 1e-9) for c in rig.constants])
+    sheet = np.array([1e-9 if c.is_binary else max(c.sheet, 1e-9) for c in rig.constants])
     repeat = bound_sd(information[:q, :q])
     sd = np.hypot(repeat, _spread(information, q, sheet))
     return PredictedSd(at.unit * sd, at.unit * repeat, at.unit * _scatter(information, repeat, rig))

@@ -45,7 +45,7 @@ class Hypothesis:
     late: FloatArray | None = None
 
     @property
-    def says(self) -> tuple[tuple[str, FloatArray, bool], ...]:
+    def named(self) -> tuple[tuple[str, FloatArray, bool], ...]:
         """What is off by it: name, members (c,), and whether it drifts."""
         here = ((self.name, self.members, self.drifts),) if self.members.any() else ()
         return here if self.late is None else (*here, ("delay", self.late, False))
@@ -59,15 +59,15 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     """
     sheet = np.array([c.sheet for c in constants])
     shows = np.array([c.shows for c in constants], dtype=bool)
-    either_or = np.array([c.is_either_or for c in constants], dtype=bool)
+    binary = np.array([c.is_binary for c in constants], dtype=bool)
     apart = np.array([c.apart for c in constants], dtype=bool)
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
-    base = [("as configured", _within(sheet, shows, either_or, tuning.AS_CONFIGURED), quiet)]
+    base = [("as configured", _within(sheet, shows, binary, tuning.AS_CONFIGURED), quiet)]
     base += [
         (
             "within data sheet",
-            _within(sheet, shows, either_or, factor),
-            np.diag((tuning.SHEET_WALK * np.where(either_or, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
+            _within(sheet, shows, binary, factor),
+            np.diag((tuning.SHEET_WALK * np.where(binary, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
         )
         for factor in tuning.SHEET_FACTORS
     ]
@@ -83,7 +83,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
             Hypothesis(name, e, drifts, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
             for b in beside
         ]
-    commanded = [(e, spread) for _, e, _, spread, _ in off if e @ (apart & ~either_or)]
+    commanded = [(e, spread) for _, e, _, spread, _ in off if e @ (apart & ~binary)]
     share = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
     both = [
         replace(h, covariance=h.covariance + spread, prior=share * h.prior, late=e)
@@ -95,13 +95,13 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
 
 
 def _within(
-    sheet: FloatArray, shows: NDArray[np.bool_], either_or: NDArray[np.bool_], factor: float
+    sheet: FloatArray, shows: NDArray[np.bool_], binary: NDArray[np.bool_], factor: float
 ) -> FloatArray:
     """Covariance of constants within a factor of their data sheets; those no data show stay at theirs.
 
     What is so or not of a force is a hypothesis of its own: in these it runs as configured.
     """
-    share = np.where(either_or, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
+    share = np.where(binary, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
     return np.diag((share * sheet) ** 2)
 
 
@@ -139,7 +139,7 @@ def _sets(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, Kind]]
 
 def _comes_along(constant: Constant) -> bool:
     """Whether it is open wherever inputs are late, and nowhere else: when a step is seen that comes late."""
-    return constant.is_either_or and not constant.apart
+    return constant.is_binary and not constant.apart
 
 
 @dataclass(frozen=True)
@@ -228,6 +228,6 @@ class Constants:
             sum(
                 w
                 for w, h in zip(self.weight, self.hypotheses, strict=True)
-                if name in {said for said, _, _ in h.says}
+                if name in {said for said, _, _ in h.named}
             )
         )

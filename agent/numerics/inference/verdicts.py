@@ -39,7 +39,7 @@ def beliefs(constants: Constants, kinds: tuple[str, ...]) -> tuple[Belief, ...]:
     for h, weight, mean, covariance in zip(
         constants.hypotheses, constants.weight, constants.mean, constants.covariance, strict=True
     ):
-        for name, members, drifts in h.says:
+        for name, members, drifts in h.named:
             kind = kinds[int(np.argmax(members))]
             belief = _belief(Belief(name, drifts, kind, float(weight), 0.0, 0.0), members, mean, covariance)
             same = found.get(belief.label)

@@ -71,7 +71,7 @@ class Discrete:
         dB1: (q, n, m) its derivatives.
         ramp: (n, m) state that an input rising from 0 to 1 in a straight line leaves after a sample, whatever
             the hold; half of B where the model was given in discrete time.
-        dramp: (q, n, m) its derivatives.
+        d_ramp: (q, n, m) its derivatives.
         period_s: sampling period, s.
     """
 
@@ -79,7 +79,7 @@ class Discrete:
     B1: FloatArray
     dB1: FloatArray
     ramp: FloatArray
-    dramp: FloatArray
+    d_ramp: FloatArray
     period_s: float
 
 
@@ -167,17 +167,17 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     exponential, derivatives = exponential_with_derivatives(generator, directions)
     A, dA = exponential[:n, :n], derivatives[:, :n, :n]
     G1, dG1 = exponential[:n, n : n + m], derivatives[:, :n, n : n + m]
-    ramp, dramp = exponential[:n, n + m :], derivatives[:, :n, n + m :]
+    ramp, d_ramp = exponential[:n, n + m :], derivatives[:, :n, n + m :]
     # a zero hold needs no shift
     B1 = ramp if hold == "first" else np.zeros((n, m))
-    dB1 = dramp if hold == "first" else np.zeros((continuous.q, n, m))
+    dB1 = d_ramp if hold == "first" else np.zeros((continuous.q, n, m))
     B0, dB0 = G1 - B1, dG1 - dB1
     C, dC = continuous.C, continuous.dC
     model = StateSpace(
         A=A, B=A @ B1 + B0, C=C, D=continuous.D + C @ B1,
         dA=dA, dB=dA @ B1 + A @ dB1 + dB0, dC=dC, dD=continuous.dD + dC @ B1 + C @ dB1,
     )  # fmt: skip
-    return Discrete(model, B1, dB1, ramp, dramp, period_s)
+    return Discrete(model, B1, dB1, ramp, d_ramp, period_s)
 
 
 def exponential_with_derivatives(

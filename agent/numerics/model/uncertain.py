@@ -37,7 +37,7 @@ class Constant:
     apart: bool = False
 
     @property
-    def is_either_or(self) -> bool:
+    def is_binary(self) -> bool:
         """Whether what it says of the inputs is so or not, and nothing between to start with."""
         return self.kind == "delay" and self.number == 1
 
@@ -212,8 +212,8 @@ class _Missing(NamedTuple):
 def _line_for_step(rig: Rig, discrete: Discrete) -> tuple[FloatArray, ...]:
     """Return columns of B, D, dB, dD by which slopes make of a step the straight line that ends there."""
     model, u = discrete.model, rig.measured
-    ramp, dramp = discrete.ramp[:, u], discrete.dramp[:, :, u]
-    dB, dD = model.dA @ ramp + model.A @ dramp, model.dC @ ramp + model.C @ dramp
+    ramp, d_ramp = discrete.ramp[:, u], discrete.d_ramp[:, :, u]
+    dB, dD = model.dA @ ramp + model.A @ d_ramp, model.dC @ ramp + model.C @ d_ramp
     return model.A @ ramp, model.C @ ramp, dB, dD
 
 
@@ -248,7 +248,7 @@ def _missing_of_steps(
         rate = early[0], early[1]
     else:
         bend = 3 * (B - 2 * discrete.ramp[:, rig.measured])
-        dbend = 3 * (dB - 2 * discrete.dramp[:, :, rig.measured])
+        dbend = 3 * (dB - 2 * discrete.d_ramp[:, :, rig.measured])
         parts = [d * (B + (1 - d) * bend), np.zeros_like(D), d * (dB + (1 - d) * dbend), np.zeros_like(dD)]
         rate = B + (1 - 2 * d) * bend, np.zeros_like(D)
     parts[1], parts[3] = parts[1] + unseen * D, parts[3] + unseen * dD

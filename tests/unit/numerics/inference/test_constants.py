@@ -104,7 +104,7 @@ def test_a_force_is_held_or_runs_as_configured_however_well_all_else_is_known() 
 def test_a_commanded_force_that_acts_late_stands_beside_everything_else() -> None:
     late = (Constant("delay", "delay", 0, 0.25, apart=True), Constant("delay", "delay", 1, 0.25))
     found = hypotheses_of((*CONSTANTS, *late))
-    says = [{name for name, _, _ in h.says} for h in found]
+    says = [{name for name, _, _ in h.named} for h in found]
     off, others = (
         [h for h, s in zip(found, says, strict=True) if ("delay" in s) is it] for it in (True, False)
     )

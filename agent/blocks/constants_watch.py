@@ -31,11 +31,13 @@ class ConstantsWatch:
         rig: its name.
         period_s: sampling period: delays are said in seconds.
         channels: channel of each output that may raise a sensor alarm.
+        commanded: whether the inputs are held from sample to sample by the configuration.
     """
 
     rig: str
     period_s: float
     channels: frozenset[str]
+    commanded: bool = False
     _stored: dict[str, float] = field(default_factory=dict)
     _said: set[str] = field(default_factory=set)
     _tie: tuple[str, ...] = ()
@@ -75,22 +77,30 @@ class ConstantsWatch:
         """An event when a hypothesis becomes sure, or is not believed any more."""
         if belief.probability >= SURE and belief.label not in self._said:
             self._said.add(belief.label)
-            return HealthEvent(self.rig, SOURCE, t_ns, _cause(belief), words(belief, self.period_s))
+            return HealthEvent(self.rig, SOURCE, t_ns, _cause(belief), self._words(belief))
         if belief.probability < DROPPED and belief.label in self._said:
             self._said.discard(belief.label)
             message = f"{belief.label}: no longer believed to be off (probability {belief.probability:.2f})"
             return HealthEvent(self.rig, SOURCE, t_ns, "withdrawn", message)
         return None
 
+    def _words(self, belief: Belief) -> str:
+        kind = belief.kind if belief.kind in _HINTS else "gain"
+        hint = _HINTS[kind]
+        if kind == "delay" and self.commanded:
+            hint = _COMMANDED_EARLY if belief.size < 0 else _COMMANDED_LATE
+        return f"{words(belief, self.period_s)}; {hint}"
+
     def _ties(self, beliefs: Sequence[Belief], t_ns: int) -> list[HealthEvent]:
         """An event when several explanations share what is off between them."""
-        tied = tuple(b.label for b in beliefs if b.probability >= TIED)
+        # what is sure is off beside them, not in their place
+        tied = tuple(b.label for b in beliefs if TIED <= b.probability < SURE)
         together = sum(b.probability for b in beliefs if b.label in tied)
         tied = tied if len(tied) > 1 and together >= SURE else ()
         news, self._tie = tied != self._tie and bool(tied), tied
         if not news:
             return []
-        sizes = "; or ".join(words(b, self.period_s, advice=False) for b in beliefs if b.label in tied)
+        sizes = "; or ".join(words(b, self.period_s) for b in beliefs if b.label in tied)
         advice = "weigh a mass or calibrate a channel, and state how well it is known"
         message = f"{sizes}: these data do not tell which; {advice}"
         return [HealthEvent(self.rig, SOURCE, t_ns, "inseparable", message)]
@@ -127,12 +137,10 @@ def _cause(belief: Belief) -> str:
     return "drift" if belief.drifts else "gain"
 
 
-def words(belief: Belief, period_s: float, advice: bool = True) -> str:
+def words(belief: Belief, period_s: float) -> str:
     """Return a belief as a sentence for people."""
-    kind = belief.kind if belief.kind in _HINTS else "gain"
-    says = {"delay": _delay_words, "mass": _mass_words, "gain": _gain_words}[kind]
-    hint = f"; {_HINTS[kind]}" if advice else ""
-    return f"{says(belief, period_s)} (probability {belief.probability:.2f}){hint}"
+    says = {"delay": _delay_words, "mass": _mass_words}.get(belief.kind, _gain_words)
+    return f"{says(belief, period_s)} (probability {belief.probability:.2f})"
 
 
 _HINTS = {
@@ -140,6 +148,8 @@ _HINTS = {
     "mass": "correct model.mass",
     "gain": "calibrate the channel, or correct its scale",
 }
+_COMMANDED_LATE = "state as much as delay_s of the outputs"
+_COMMANDED_EARLY = 'set hold = "first" where the force is measured and runs on between samples'
 
 
 def _delay_words(belief: Belief, period_s: float) -> str:

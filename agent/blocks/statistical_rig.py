@@ -182,7 +182,7 @@ def _sizes(model: Model) -> FloatArray:
 
 def _constants(config: RigConfig, built: RigModel, masses: tuple[str, ...]) -> tuple[Constant, ...]:
     """Return the constants; of a linear model a gain that its parameters can do in its place never shows."""
-    constants = constants_of(config, masses)
+    constants = constants_of(config, masses, direct=_is_direct(config, built))
     sensed = built.model if isinstance(built.model, SensedModel) else SensedModel(built.model, ())
     if not isinstance(sensed.model, (AffineModel, DescriptorModel)):
         return constants
@@ -210,8 +210,11 @@ def sheets_of(config: RigConfig) -> dict[str, float]:
     return {}
 
 
-def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, ...]:
-    """Return the constants the data sheets leave open: masses, output and input gains, the inputs' delay."""
+def constants_of(config: RigConfig, masses: tuple[str, ...], direct: bool = False) -> tuple[Constant, ...]:
+    """Return the constants the data sheets leave open: masses, output and input gains, the inputs' delay.
+
+    direct: whether an output sees an input directly.
+    """
     sheets = sheets_of(config)
     wanted = set(estimated(config))
     # masses and forces times c, motions by c, are the same readings where no motion's gain is known
@@ -225,8 +228,18 @@ def constants_of(config: RigConfig, masses: tuple[str, ...]) -> tuple[Constant, 
             if c.gain_sd_percent > 0 and f"{c.name}.gain" not in wanted
         ]
     delay = _delay_samples(config)
-    late = [Constant("delay", "delay", number, delay) for number in (0, 1)]
-    return (*out, *late) if delay > 0 else tuple(out)
+    if delay == 0:
+        return tuple(out)
+    is_held = config.estimator.hold == "zero"
+    out.append(Constant("delay", "delay", 0, delay, apart=is_held))
+    if direct or not is_held:
+        out.append(Constant("delay", "delay", 1, delay, apart=not is_held))
+    return tuple(out)
+
+
+def _is_direct(config: RigConfig, built: RigModel) -> bool:
+    """Whether an output sees an input directly, as an accelerometer sees the force on its own mass."""
+    return bool(built.model.continuous(built.model.nominal).D[:, : len(config.inputs)].any())
 
 
 def _rubbings(config: RigConfig, pushed: _Pushed) -> tuple[Rubbing, ...]:
@@ -268,11 +281,18 @@ def _has_known_mass(config: RigConfig) -> bool:
 
 
 def _delay_samples(config: RigConfig) -> float:
-    """Data-sheet sd of the inputs' delay, samples: 0 beside dry friction, which a delay would look like."""
-    if _has_friction(config) or not config.inputs or config.estimator.hold != "first":
+    """Data-sheet sd of the inputs' delay, samples: 0 beside dry friction, which a delay would look like.
+
+    None of polynomials through more readings either, whose lateness no slope gives.
+    """
+    if _has_friction(config) or not config.inputs or config.estimator.hold not in ("first", "zero"):
         return 0.0
     stated = [c.delay_sd_s for c in config.inputs if c.delay_sd_s is not None]
-    return max(stated) * config.rig.sample_rate_hz if stated else DELAY_SHEET
+    if stated:
+        return max(stated) * config.rig.sample_rate_hz
+    # where forces are denied, a delay of commands would stand for what the model lacks (ECP-210: m1 -6 %)
+    is_denied = _is_white(config) and config.estimator.hold == "zero"
+    return 0.0 if is_denied else DELAY_SHEET
 
 
 def _holding(config: RigConfig) -> set[str]:

@@ -60,7 +60,8 @@ class Play:
             every = len(self.fine) // len(self.force)
             forces = np.zeros((len(self.fine), count))
             forces[:, -1] = self.fine
-            y = self.chain.motion(forces, self.masses, rate_hz=every * self.chain.rate_hz)[::every]
+            rate_hz = every * self.chain.rate_hz
+            y = self.chain.motion(forces, self.masses, self.hold, rate_hz=rate_hz)[::every]  # type: ignore[arg-type]
         for change in self.after:
             y = change(y)
         return np.column_stack([self.read, y + self.noise])
@@ -109,6 +110,21 @@ def pushed(sd: float, pole: float, mass: int = 0) -> Change:
 
 def held(play: Play, _: np.random.Generator) -> None:
     play.hold = "zero"
+
+
+def held_late(share: float) -> Change:
+    """A force that is held and acts a share of a sample late (in quarters), after the outputs are read."""
+
+    def change(play: Play, _: np.random.Generator) -> None:
+        every = 4
+        late = round(share * every)
+        stepping = np.repeat(play.force, every)
+        play.hold, play.fine = (
+            "zero",
+            np.concatenate([np.repeat(stepping[:1], late), stepping])[: len(stepping)],
+        )
+
+    return change
 
 
 def crooked(play: Play, rng: np.random.Generator) -> None:
@@ -175,6 +191,8 @@ def stated(factor: float, chain: Chain = TWO) -> dict[str, object]:
 
 SCALE = frozenset({"all masses", "all outputs", "force", "all inputs"})
 """What has the same effect: masses, springs and dampers are known only as far as forces and gains are."""
+LATE = frozenset({"delay"})
+ZERO: dict[str, object] = {"hold": "zero"}
 POLES = '[estimator.observer]\ngain = "poles"\npoles = [-45.0, -40.0, -35.0, -30.0]'
 KALMAN = '[estimator.observer]\ngain = "kalman"\nprocess_sd = [0.5, 0.5]'
 CASES: dict[str, Case] = {
@@ -207,6 +225,27 @@ CASES: dict[str, Case] = {
     "held, hold first, accelerometers": Case(FELT, (held,), right=frozenset({"delay"}), said=True),
     "held, hold first, light parts": Case(SMALL, (held,), right=frozenset({"delay"}), said=True),
     "AR sensors and held, accelerometers": Case(FELT, (coloured(0.95), held), right=frozenset({"delay"})),
+    "hold zero": Case(changes=(held,), config=ZERO),
+    "hold zero, accelerometers": Case(FELT, (held,), ZERO),
+    "late, hold zero": Case(changes=(held_late(0.5),), config=ZERO, right=LATE, said=True),
+    "late, hold zero, one mass": Case(ONE, (held_late(0.5),), ZERO, LATE, said=True),
+    "late, hold zero, 200 Hz": Case(SLOW, (held_late(0.5),), ZERO, LATE, said=True),
+    "late, hold zero, accelerometers": Case(FELT, (held_late(0.5),), ZERO, LATE, said=True),
+    "a sample late, hold zero, driving-point accelerometer": Case(
+        DRIVEN, (held_late(1.0),), ZERO, LATE, said=True
+    ),
+    "late and m1 +3 %, hold zero, 200 Hz": Case(
+        SLOW, (held_late(0.5), masses(1.03, 1.0)), ZERO, LATE | {"m1"}, said=True
+    ),
+    "late and m1 +3 %, hold zero, accelerometers": Case(
+        FELT, (held_late(0.5), masses(1.03, 1.0)), ZERO, LATE | {"m1"}, said=True
+    ),
+    "late and AR sensors, hold zero": Case(
+        changes=(held_late(0.5), coloured(0.95)), config=ZERO, right=LATE
+    ),
+    "not held, hold zero": Case(config=ZERO, right=LATE, said=True),
+    "not held, hold zero, 200 Hz": Case(SLOW, config=ZERO, right=LATE, said=True),
+    "not held, hold zero, accelerometers": Case(FELT, config=ZERO, right=LATE, said=True),
     "gain drifts, one mass": Case(
         SHAKEN, (drift(0, 0.05),), right=frozenset({"m1", "a1", "a1 drifts", "force", "force drifts"})
     ),

@@ -58,8 +58,8 @@ def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> 
     whole = np.concatenate([columns, np.array(sensors).reshape(-1, *columns.shape[1:])])
     information = _information(whole, _free(at.A, at.C, len(u)), sigma)
     q = rig.q
-    # a force that is held is a hypothesis of its own, in no interval before data speak for it
-    sheet = np.array([1e-9 if c.is_held else max(c.sheet, 1e-9) for c in rig.constants])
+    # what is so or not of a force is a hypothesis of its own, in no interval before data speak for it
+    sheet = np.array([1e-9 if c.is_binary else max(c.sheet, 1e-9) for c in rig.constants])
     repeat = bound_sd(information[:q, :q])
     sd = np.hypot(repeat, _spread(information, q, sheet))
     return PredictedSd(at.unit * sd, at.unit * repeat, at.unit * _scatter(information, repeat, rig))

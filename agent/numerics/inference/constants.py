@@ -5,7 +5,7 @@ one group (all masses, all outputs, all inputs) off, or drifting. Each carries m
 window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +33,7 @@ class Hypothesis:
         drifts: whether it changes from window to window.
         covariance, walk: (c, c) prior covariance and random walk a window.
         prior: probability before any data.
+        late: (c,) 1 for the delay of commanded inputs, where that is off beside what `name` says; None else.
     """
 
     name: str
@@ -41,20 +42,32 @@ class Hypothesis:
     covariance: FloatArray
     walk: FloatArray
     prior: float
+    late: FloatArray | None = None
+
+    @property
+    def named(self) -> tuple[tuple[str, FloatArray, bool], ...]:
+        """What is off by it: name, members (c,), and whether it drifts."""
+        here = ((self.name, self.members, self.drifts),) if self.members.any() else ()
+        return here if self.late is None else (*here, ("delay", self.late, False))
 
 
 def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
-    """Return the hypotheses on a rig's constants; those that no data show are within their data sheets."""
+    """Return the hypotheses on a rig's constants; those that no data show are within their data sheets.
+
+    A force that is held, or a commanded one that acts late, says nothing of how well all else is known: its
+    hypothesis stands beside each of those. Of a commanded one it stands beside what else may be off, too.
+    """
     sheet = np.array([c.sheet for c in constants])
     shows = np.array([c.shows for c in constants], dtype=bool)
-    held = np.array([c.is_held for c in constants], dtype=bool)
+    binary = np.array([c.is_binary for c in constants], dtype=bool)
+    apart = np.array([c.apart for c in constants], dtype=bool)
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
-    base = [("as configured", _within(sheet, shows, held, tuning.AS_CONFIGURED), quiet)]
+    base = [("as configured", _within(sheet, shows, binary, tuning.AS_CONFIGURED), quiet)]
     base += [
         (
             "within data sheet",
-            _within(sheet, shows, held, factor),
-            np.diag((tuning.SHEET_WALK * np.where(held, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
+            _within(sheet, shows, binary, factor),
+            np.diag((tuning.SHEET_WALK * np.where(binary, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
         )
         for factor in tuning.SHEET_FACTORS
     ]
@@ -63,29 +76,33 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off = _off(constants)
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     others = []
-    for name, e, size, walks in off:
-        # a force that is held says nothing of how well all else is known
-        beside = healthy if e @ held else healthy[:1]
+    for name, e, spread, walks in off:
+        beside = healthy if e @ apart else healthy[:1]
         share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside) / len(walks)
         others += [
-            Hypothesis(
-                name, e, walk > 0, b.covariance + size**2 * np.outer(e, e), b.walk + walk**2 * np.outer(e, e),
-                share,
-            )
+            Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
             for walk in walks
             for b in beside
-        ]  # fmt: skip
-    return tuple(healthy + others)
+        ]
+    commanded = [(e, spread) for _, e, spread, _ in off if e @ (apart & ~binary)]
+    share = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
+    both = [
+        replace(h, covariance=h.covariance + spread, prior=share * h.prior, late=e)
+        for e, spread in commanded
+        for h in others
+        if not h.members @ e
+    ]
+    return tuple(healthy + others + both)
 
 
 def _within(
-    sheet: FloatArray, shows: NDArray[np.bool_], held: NDArray[np.bool_], factor: float
+    sheet: FloatArray, shows: NDArray[np.bool_], binary: NDArray[np.bool_], factor: float
 ) -> FloatArray:
     """Covariance of constants within a factor of their data sheets; those no data show stay at theirs.
 
-    A force that is held is a hypothesis of its own: in these it runs as configured.
+    What is so or not of a force is a hypothesis of its own: in these it runs as configured.
     """
-    share = np.where(held, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
+    share = np.where(binary, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
     return np.diag((share * sheet) ** 2)
 
 
@@ -94,24 +111,37 @@ def _least(sheet: FloatArray) -> FloatArray:
     return np.diag(np.where(sheet > 0, 0.0, 1e-12))
 
 
-def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, float, tuple[float, ...]]]:
-    """(name, members, prior sd, walks a window) of everything that may be off; walks of 0: it stays."""
-    out: list[tuple[str, FloatArray, float, tuple[float, ...]]] = []
-    single = [
-        (c.name, np.eye(len(constants))[i], c.kind)
-        for i, c in enumerate(constants)
-        if c.sheet > 0 and c.shows
-    ]
-    for kind, name in GROUPS:
-        together = np.array([float(c.kind == kind and c.sheet > 0 and c.shows) for c in constants])
-        if together.sum() > 1:
-            single.append((name, together, kind))
-    for name, members, kind in single:
-        size = tuning.OFF_DELAY if kind == "delay" else tuning.OFF_RELATIVE
-        out.append((name, members, size, (0.0,)))
+def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, FloatArray, tuple[float, ...]]]:
+    """(name, members, prior covariance (c, c), walks a window) of all that may be off; of 0: it stays."""
+    stays = (0.0,)
+    out: list[tuple[str, FloatArray, FloatArray, tuple[float, ...]]] = []
+    along = np.diag([tuning.OFF_DELAY**2 * _comes_along(c) for c in constants])
+    for name, members, kind in _sets(constants):
+        if kind == "delay":
+            out.append((name, members, tuning.OFF_DELAY**2 * np.outer(members, members) + along, stays))
+            continue
+        spread = tuning.OFF_RELATIVE**2 * np.outer(members, members)
+        out.append((name, members, spread, stays))
         if kind in ("output", "input"):
-            out.append((name, members, size, tuning.DRIFT_WALKS))
+            out.append((name, members, spread, tuning.DRIFT_WALKS))
     return out
+
+
+def _sets(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, Kind]]:
+    """(name, members, kind) of each constant that may be off by itself, then of groups that may together."""
+    can = np.array([c.sheet > 0 and c.shows for c in constants], dtype=bool)
+    unit = np.eye(len(constants))
+    sets = [(c.name, unit[i], c.kind) for i, c in enumerate(constants) if can[i] and not _comes_along(c)]
+    for kind, name in GROUPS:
+        together = (can & [c.kind == kind for c in constants]).astype(float)
+        if together.sum() > 1:
+            sets.append((name, together, kind))
+    return sets
+
+
+def _comes_along(constant: Constant) -> bool:
+    """Whether it is open wherever inputs are late, and nowhere else: when a step is seen that comes late."""
+    return constant.is_binary and not constant.apart
 
 
 @dataclass(frozen=True)
@@ -196,4 +226,10 @@ class Constants:
 
     def probability(self, name: str) -> float:
         """Return the probability that what is called `name` is off or drifts."""
-        return float(sum(w for w, h in zip(self.weight, self.hypotheses, strict=True) if h.name == name))
+        return float(
+            sum(
+                w
+                for w, h in zip(self.weight, self.hypotheses, strict=True)
+                if name in {said for said, _, _ in h.named}
+            )
+        )

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.inference.constants import Constants, Hypothesis
+from agent.numerics.inference.constants import Constants
 from agent.types import FloatArray
 
 
@@ -39,8 +39,9 @@ def beliefs(constants: Constants, kinds: tuple[str, ...]) -> tuple[Belief, ...]:
     for h, weight, mean, covariance in zip(
         constants.hypotheses, constants.weight, constants.mean, constants.covariance, strict=True
     ):
-        if h.members.any():
-            belief = _belief(h, float(weight), mean, covariance, kinds)
+        for name, members, drifts in h.named:
+            kind = kinds[int(np.argmax(members))]
+            belief = _belief(Belief(name, drifts, kind, float(weight), 0.0, 0.0), members, mean, covariance)
             same = found.get(belief.label)
             found[belief.label] = belief if same is None else _together(same, belief)
     return tuple(found.values())
@@ -55,12 +56,10 @@ def _together(one: Belief, other: Belief) -> Belief:
     return replace(one, probability=probability, size=size, sd=float(np.sqrt(max(square - size**2, 0.0))))
 
 
-def _belief(
-    h: Hypothesis, weight: float, mean: FloatArray, covariance: FloatArray, kinds: tuple[str, ...]
-) -> Belief:
-    share = h.members / h.members.sum()
-    kind = kinds[int(np.argmax(h.members))]
+def _belief(about: Belief, members: FloatArray, mean: FloatArray, covariance: FloatArray) -> Belief:
+    """A belief with its size, from where the members (c,) of what is off are by its hypothesis."""
+    share = members / members.sum()
     log, sd = float(share @ mean), float(np.sqrt(share @ covariance @ share))
-    if kind == "delay":
-        return Belief(h.name, h.drifts, kind, weight, log, sd)
-    return Belief(h.name, h.drifts, kind, weight, float(np.expm1(log)), float(np.exp(log) * sd))
+    if about.kind == "delay":
+        return replace(about, size=log, sd=sd)
+    return replace(about, size=float(np.expm1(log)), sd=float(np.exp(log) * sd))

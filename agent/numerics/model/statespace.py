@@ -69,12 +69,17 @@ class Discrete:
         model: xs(k+1) = A xs(k) + B u(k), y(k) = C xs(k) + D u(k).
         B1: (n, m) the shift: physical state x = xs + B1 u.
         dB1: (q, n, m) its derivatives.
+        ramp: (n, m) state that an input rising from 0 to 1 in a straight line leaves after a sample, whatever
+            the hold; half of B where the model was given in discrete time.
+        d_ramp: (q, n, m) its derivatives.
         period_s: sampling period, s.
     """
 
     model: StateSpace
     B1: FloatArray
     dB1: FloatArray
+    ramp: FloatArray
+    d_ramp: FloatArray
     period_s: float
 
 
@@ -155,24 +160,24 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     generator = np.zeros((size, size))
     generator[:n, :n] = continuous.A * period_s
     generator[:n, n : n + m] = continuous.B * period_s
-    if hold == "first":
-        generator[n : n + m, n + m :] = np.eye(m)
+    generator[n : n + m, n + m :] = np.eye(m)
     directions = np.zeros((continuous.q, size, size))
     directions[:, :n, :n] = continuous.dA * period_s
     directions[:, :n, n : n + m] = continuous.dB * period_s
     exponential, derivatives = exponential_with_derivatives(generator, directions)
     A, dA = exponential[:n, :n], derivatives[:, :n, :n]
     G1, dG1 = exponential[:n, n : n + m], derivatives[:, :n, n : n + m]
-    # zero hold: G2 is of no use and B1 = 0
-    B1 = exponential[:n, n + m :] if hold == "first" else np.zeros((n, m))
-    dB1 = derivatives[:, :n, n + m :] if hold == "first" else np.zeros((continuous.q, n, m))
+    ramp, d_ramp = exponential[:n, n + m :], derivatives[:, :n, n + m :]
+    # a zero hold needs no shift
+    B1 = ramp if hold == "first" else np.zeros((n, m))
+    dB1 = d_ramp if hold == "first" else np.zeros((continuous.q, n, m))
     B0, dB0 = G1 - B1, dG1 - dB1
     C, dC = continuous.C, continuous.dC
     model = StateSpace(
         A=A, B=A @ B1 + B0, C=C, D=continuous.D + C @ B1,
         dA=dA, dB=dA @ B1 + A @ dB1 + dB0, dC=dC, dD=continuous.dD + dC @ B1 + C @ dB1,
     )  # fmt: skip
-    return Discrete(model, B1, dB1, period_s)
+    return Discrete(model, B1, dB1, ramp, d_ramp, period_s)
 
 
 def exponential_with_derivatives(
@@ -196,13 +201,17 @@ def _euler(continuous: StateSpace, period_s: float) -> Discrete:
         D=continuous.D,
         dA=period_s * continuous.dA, dB=period_s * continuous.dB, dC=continuous.dC, dD=continuous.dD,
     )  # fmt: skip
-    shape = (continuous.n, continuous.m)
-    return Discrete(model, np.zeros(shape), np.zeros((continuous.q, *shape)), period_s)
+    return _unshifted(model, period_s)
 
 
 def _as_given(sampled: StateSpace, period_s: float) -> Discrete:
-    shape = (sampled.n, sampled.m)
-    return Discrete(sampled, np.zeros(shape), np.zeros((sampled.q, *shape)), period_s)
+    return _unshifted(sampled, period_s)
+
+
+def _unshifted(model: StateSpace, period_s: float) -> Discrete:
+    return Discrete(
+        model, np.zeros_like(model.B), np.zeros_like(model.dB), 0.5 * model.B, 0.5 * model.dB, period_s
+    )
 
 
 def modes(model: StateSpace, period_s: float) -> ComplexArray:

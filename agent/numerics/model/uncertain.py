@@ -1,7 +1,8 @@
 """What is modelled: the parametric state space of a rig with its unknown forces and uncertain constants."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,10 +21,12 @@ class Constant:
         name: of the mass or channel; "delay" for the delay of the inputs.
         kind: a mass, an output's or an input's gain, or the delay of all measured inputs.
         number: which mass (of the model's parameters after θ), output or input it belongs to; of delays 0
-            where a reading itself is late, 1 where it is held until the next (½ sample).
+            where the inputs are late, 1 for what is so or not: that an input is held until the next reading
+            (½ sample) in place of a straight line, or that outputs are read before a held one steps (1).
         sheet: standard deviation of its logarithm; of the delay: samples.
         shows: whether data can tell that it is off: no gain can be told where all masses are estimated or
             absent.
+        apart: its being off says nothing of how well all else is known.
     """
 
     name: str
@@ -31,10 +34,11 @@ class Constant:
     number: int
     sheet: float
     shows: bool = True
+    apart: bool = False
 
     @property
-    def is_held(self) -> bool:
-        """Whether it says that an input is held: that is so or not, and nothing between to start with."""
+    def is_binary(self) -> bool:
+        """Whether what it says of the inputs is so or not, and nothing between to start with."""
         return self.kind == "delay" and self.number == 1
 
 
@@ -189,20 +193,66 @@ def _late(
 ) -> tuple[list[FloatArray], FloatArray]:
     """Return B, D, dB, dD with columns of the slopes after them, and their derivatives by the delays.
 
-    With slopes s(k) = u(k) − u(k−1) an input one sample late is u less s. One that is held from sample to
-    sample, half a sample late but seen at once where it is seen directly, is u less what A B1 s(k) drives,
-    seen by C B1. Either is exact there, and a straight line between.
+    Slopes are s(k) = u(k) − u(k−1).
     """
-    model, u = discrete.model, rig.measured
-    B1, dB1 = discrete.B1[:, u], discrete.dB1[:, :, u]
-    held = (model.A @ B1, model.C @ B1, model.dA @ B1 + model.A @ dB1, model.dC @ B1 + model.C @ dB1)
-    if not B1.any():  # of a model given in discrete time nobody knows what runs between samples
-        held = (0.5 * given[0], 0.5 * given[1], 0.5 * given[2], 0.5 * given[3])
     less = np.where(rig.driven, -1.0, 0.0)
-    whole, half = ([less * part for part in parts] for parts in (given, [2 * part for part in held]))
-    slopes = [delays[0] * one + delays[1] * two for one, two in zip(whole, half, strict=True)]
-    late = np.stack([np.vstack(parts[:2]) for parts in (whole, half)])
+    missing = (_missing_of_steps if rig.hold == "zero" else _missing_of_lines)(rig, discrete, given, delays)
+    slopes = [less * part for part in missing.parts]
+    late = np.stack([less * np.vstack(rate) for rate in missing.rates])
     return [np.concatenate(pair, axis=-1) for pair in zip(given, slopes, strict=True)], late
+
+
+class _Missing(NamedTuple):
+    """What slopes take from the motion: columns of B, D, dB, dD; rates of B and D by either delay."""
+
+    parts: Sequence[FloatArray]
+    rates: Sequence[tuple[FloatArray, FloatArray]]
+
+
+def _line_for_step(rig: Rig, discrete: Discrete) -> tuple[FloatArray, ...]:
+    """Return columns of B, D, dB, dD by which slopes make of a step the straight line that ends there."""
+    model, u = discrete.model, rig.measured
+    ramp, d_ramp = discrete.ramp[:, u], discrete.d_ramp[:, :, u]
+    dB, dD = model.dA @ ramp + model.A @ d_ramp, model.dC @ ramp + model.C @ d_ramp
+    return model.A @ ramp, model.C @ ramp, dB, dD
+
+
+def _missing_of_lines(
+    rig: Rig, discrete: Discrete, given: tuple[FloatArray, ...], delays: FloatArray
+) -> _Missing:
+    """Of inputs that run in straight lines: an input one sample late is u less s.
+
+    One that is held from sample to sample is half a sample late but seen at once where it is seen directly.
+    Either is exact there, and a straight line between.
+    """
+    half = [2 * part for part in _line_for_step(rig, discrete)]
+    parts = [delays[0] * one + delays[1] * two for one, two in zip(given, half, strict=True)]
+    return _Missing(parts, [(given[0], given[1]), (half[0], half[1])])
+
+
+def _missing_of_steps(
+    rig: Rig, discrete: Discrete, given: tuple[FloatArray, ...], delays: FloatArray
+) -> _Missing:
+    """Of inputs that are held: a step that comes d samples late lacks s for the first d of its sample.
+
+    That is ∫₀ᵈ φ of φ(σ) = exp(A T (1 − σ)) B T, whose integral over the sample is B, and its first moment
+    the ramp R. Of the straight line that has these it is d B + 3 d (1 − d) (B − 2 R): exact at d = 0 and 1,
+    and right to the second order in the motion of a sample. A force that acts early is one that is not held
+    but runs in straight lines, exact at −½. Outputs that are read before the step see u less s directly.
+    """
+    B, D, dB, dD = given
+    d, unseen = delays
+    if d < 0:
+        early = [2 * part for part in _line_for_step(rig, discrete)]
+        parts = [d * part for part in early]
+        rate = early[0], early[1]
+    else:
+        bend = 3 * (B - 2 * discrete.ramp[:, rig.measured])
+        dbend = 3 * (dB - 2 * discrete.d_ramp[:, :, rig.measured])
+        parts = [d * (B + (1 - d) * bend), np.zeros_like(D), d * (dB + (1 - d) * dbend), np.zeros_like(dD)]
+        rate = B + (1 - 2 * d) * bend, np.zeros_like(D)
+    parts[1], parts[3] = parts[1] + unseen * D, parts[3] + unseen * dD
+    return _Missing(parts, [rate, (np.zeros_like(B), D)])
 
 
 def delays_of(rig: Rig, eta: FloatArray) -> FloatArray | None:

@@ -47,14 +47,15 @@ def make_stages(config: RigConfig, steps: FloatArray) -> Stages:
     longest = longest_bridge(rig_model(config).model, rate_hz)
     window = hop_plan(config).window
     estimation = make_estimation(config, steps[inputs:])
+    is_commanded = config.estimator.hold == "zero"
     settings = QualitySettings(
         channels=tuple(c.name for c in channels), inputs=inputs, step=steps, window=window, bridge=longest,
-        quantities=tuple(c.quantity for c in channels), commanded=config.estimator.hold == "zero",
+        quantities=tuple(c.quantity for c in channels), commanded=is_commanded,
     )  # fmt: skip
     return Stages(
         quality=Quality(settings),
         friction=dry_friction(config, steps[inputs:]),
         estimation=estimation,
         channels=ChannelWatch(rig, tuple((c.name, c.quantity) for c in (*config.outputs, *config.inputs))),
-        constants=ConstantsWatch(rig, 1.0 / rate_hz, frozenset(c.name for c in config.outputs)),
+        constants=ConstantsWatch(rig, 1.0 / rate_hz, frozenset(c.name for c in config.outputs), is_commanded),
     )

@@ -86,7 +86,7 @@ def test_constants_that_are_exact_have_no_hypothesis() -> None:
 
 
 def test_a_force_is_held_or_runs_as_configured_however_well_all_else_is_known() -> None:
-    late = tuple(Constant("delay", "delay", number, 0.25) for number in (0, 1))
+    late = tuple(Constant("delay", "delay", number, 0.25, apart=number == 1) for number in (0, 1))
     found = hypotheses_of((*CONSTANTS, *late))
     held = [h for h in found if h.members[4]]
     healthy = [h for h in found if not h.members.any()]
@@ -99,6 +99,27 @@ def test_a_force_is_held_or_runs_as_configured_however_well_all_else_is_known() 
     of_delay = sum(h.prior for h in found if h.members[3])
     assert sum(h.prior for h in held) == pytest.approx(of_delay)
     assert sum(h.prior for h in found) == pytest.approx(1.0)
+
+
+def test_a_commanded_force_that_acts_late_stands_beside_everything_else() -> None:
+    late = (Constant("delay", "delay", 0, 0.25, apart=True), Constant("delay", "delay", 1, 0.25))
+    found = hypotheses_of((*CONSTANTS, *late))
+    says = [{name for name, _, _ in h.named} for h in found]
+    off, others = (
+        [h for h, s in zip(found, says, strict=True) if ("delay" in s) is it] for it in (True, False)
+    )
+    # open together in these, and in no other
+    assert all(h.covariance[i, i] >= tuning.OFF_DELAY**2 for h in off for i in (3, 4))
+    assert all(h.covariance[4, 4] < 0.01**2 for h in others)
+    alone = [h for h in off if h.late is None]
+    assert len(alone) == 1 + len(tuning.SHEET_FACTORS)
+    beside = {(h.name, h.drifts) for h in off if h.late is not None}
+    assert beside == {(h.name, h.drifts) for h in found if h.members[:3].any()}
+    assert sum(h.prior for h in off if h.late is not None) < sum(h.prior for h in alone)
+    prior = Constants.prior(found)
+    assert prior.probability("delay") == pytest.approx(
+        sum(h.prior for h in off) / sum(h.prior for h in found)
+    )
 
 
 def test_constants_update_by_information_that_drowns_the_prior_leaves_no_negative_variance(

@@ -37,8 +37,19 @@ def test_verdict_names_size_and_kind() -> None:
     assert sum(b.probability for b in found.values()) < 0.5
 
 
+def test_two_things_that_are_off_are_two_beliefs() -> None:
+    constants = (Constant("m1", "mass", 0, 0.02), Constant("delay", "delay", 0, 0.2, apart=True))
+    prior = Constants.prior(hypotheses_of(constants))
+    both = np.array([h.late is not None for h in prior.hypotheses], dtype=float)
+    mean = both[:, None] * [np.log(1.05), 0.5]
+    known = Constants(prior.hypotheses, both / both.sum(), mean, prior.covariance)
+    found = {b.name: b for b in beliefs(known, ("mass", "delay"))}
+    assert {name: b.probability for name, b in found.items()} == pytest.approx({"m1": 1.0, "delay": 1.0})
+    assert {name: b.size for name, b in found.items()} == pytest.approx({"m1": 0.05, "delay": 0.5})
+
+
 def test_ways_in_which_the_same_may_be_off_are_one_belief() -> None:
-    late = tuple(Constant("delay", "delay", number, 0.2) for number in (0, 1))
+    late = tuple(Constant("delay", "delay", number, 0.2, apart=number == 1) for number in (0, 1))
     prior = Constants.prior(hypotheses_of(late))
     ways = [i for i, h in enumerate(prior.hypotheses) if h.name == "delay"]
     members = np.array([h.members for h in prior.hypotheses])

@@ -57,12 +57,53 @@ def test_one_sample_of_the_first_delay_is_an_input_one_sample_late(force: FloatA
     np.testing.assert_allclose(late[1:], at_once[:-1], rtol=1e-11, atol=1e-13)
 
 
-def test_slopes_have_the_derivatives_by_parameters_and_by_either_delay() -> None:
-    line, point, step = rig(), np.array([0.3, 0.2]), 1e-5
-    at = sampled(line, line.nominal, np.zeros(0), point)
+def stepping_late(line: Rig, delay: float, u: FloatArray) -> FloatArray:
+    """Readings under steps that come `delay` of a sample late, read before: two exact pieces a sample."""
+    continuous = line.model.continuous(line.model.nominal)
+    before, after = (
+        discretise(continuous, share * line.period_s, "zero").model for share in (delay, 1 - delay)
+    )
+    x, out = np.zeros(before.n), []
+    for old, new in zip(np.vstack([u[:1], u[:-1]]), u, strict=True):
+        out.append(continuous.C @ x + continuous.D @ old)
+        x = after.A @ (before.A @ x + before.B @ old) + after.B @ new
+    return np.array(out)
+
+
+@pytest.mark.parametrize("delay", [0.1, 0.25, 0.5, 0.75, 1.0])
+def test_steps_that_come_late_are_followed_where_motion_and_where_force_is_seen(
+    delay: float, force: FloatArray
+) -> None:
+    steps = rig("zero")
+    found = readings(sampled(steps, steps.nominal, np.zeros(0), np.array([delay, 1.0])), force)
+    at_once = readings(sampled(steps, steps.nominal, np.zeros(0), np.zeros(2)), force)
+    truth = stepping_late(steps, delay, force)
+    left, whole = (np.abs(y - truth).max(axis=0) for y in (found, at_once))
+    assert (left / whole).max() < (1e-13 if delay == 1 else 0.01)
+
+
+def test_steps_half_a_sample_early_are_straight_lines(force: FloatArray) -> None:
+    steps, line = rig("zero"), rig()
+    found, truth = (
+        readings(sampled(r, r.nominal, np.zeros(0), d), force)
+        for r, d in ((steps, np.array([-0.5, 0.0])), (line, np.zeros(2)))
+    )
+    np.testing.assert_allclose(found, truth, rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("hold", "point"), [("first", (0.3, 0.2)), ("zero", (0.3, 0.9)), ("zero", (-0.4, 0.1))]
+)
+def test_slopes_have_the_derivatives_by_parameters_and_by_either_delay(
+    hold: Hold, point: tuple[float, float]
+) -> None:
+    line, step = rig(hold), 1e-5
+    at = sampled(line, line.nominal, np.zeros(0), np.array(point))
     for i in range(2):
         change = np.eye(2)[i] * step
-        up, down = (sampled(line, line.nominal + s * change * at.unit, np.zeros(0), point) for s in (1, -1))
+        up, down = (
+            sampled(line, line.nominal + s * change * at.unit, np.zeros(0), np.array(point)) for s in (1, -1)
+        )
         np.testing.assert_allclose(at.dB[i], (up.B - down.B) / (2 * step), rtol=1e-6, atol=1e-10)
         np.testing.assert_allclose(at.dD[i], (up.D - down.D) / (2 * step), rtol=1e-6, atol=1e-10)
         up, down = (sampled(line, line.nominal, np.zeros(0), point + s * change) for s in (1, -1))

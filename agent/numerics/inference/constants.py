@@ -79,6 +79,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     for name, e, spread, walks in off:
         beside = healthy if e @ apart else healthy[:1]
         share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside) / len(walks)
+        share *= tuning.PRIOR_DRIFTS if any(walks) else 1.0
         others += [
             Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
             for walk in walks

@@ -26,9 +26,9 @@ LINE = 3
 """Rows below which there is no line with an interval."""
 YEAR = 365.25
 SEASONAL = 0.7
-"""Years of history from which on a yearly season is thought of, and the share of the year's twelfths in which
+"""Years of history from which on a yearly season is thought of, and the share of the year's months in which
 there must be readings: a curve through two months of it is any course there is."""
-TWELFTHS = 12
+MONTHS = 12
 SHARES = (0.6, 0.06, 0.04, 0.02, 0.15, 0.09, 0.04)
 """Prior probability of each shape: white, three of exp(−|Δt|/τ), a random walk, white beside two walks."""
 SIZES = np.geomspace(0.02, 8.0, 13)
@@ -202,8 +202,8 @@ class _Scatter:
 
 def _season(years: FloatArray) -> FloatArray:
     """Return cosine and sine of the year (m, 2), or (m, 0) where the readings leave too much of it out."""
-    covered = len(np.unique(np.floor(years % 1.0 * TWELFTHS)))
-    if years[-1] - years[0] <= SEASONAL or covered < SEASONAL * TWELFTHS:
+    covered = len(np.unique(np.floor(years % 1.0 * MONTHS)))
+    if years[-1] - years[0] <= SEASONAL or covered < SEASONAL * MONTHS:
         return np.zeros((len(years), 0))
     phase = 2.0 * np.pi * years
     return np.column_stack([np.cos(phase), np.sin(phase)])

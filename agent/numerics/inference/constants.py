@@ -76,10 +76,10 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off = _off(constants)
     healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
     others = []
+    odds = sum(_odds(walks) for *_, walks in off)
     for name, e, spread, walks in off:
         beside = healthy if e @ apart else healthy[:1]
-        share = (1 - tuning.PRIOR_HEALTHY) / len(off) / len(beside) / len(walks)
-        share *= tuning.PRIOR_DRIFTS if any(walks) else 1.0
+        share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(beside) / len(walks)
         others += [
             Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
             for walk in walks
@@ -128,13 +128,19 @@ def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, FloatAr
     return out
 
 
+def _odds(walks: tuple[float, ...]) -> float:
+    """Prior odds of something that is off with these walks, against one that stays."""
+    return tuning.PRIOR_DRIFTS if any(walks) else 1.0
+
+
 def _sets(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, Kind]]:
     """(name, members, kind) of each constant that may be off by itself, then of groups that may together."""
     can = np.array([c.sheet > 0 and c.shows for c in constants], dtype=bool)
     unit = np.eye(len(constants))
     sets = [(c.name, unit[i], c.kind) for i, c in enumerate(constants) if can[i] and not _comes_along(c)]
     for kind, name in GROUPS:
-        together = (can & [c.kind == kind for c in constants]).astype(float)
+        alike = np.array([c.kind == kind for c in constants], dtype=bool)
+        together = (can & alike).astype(float)
         if together.sum() > 1:
             sets.append((name, together, kind))
     return sets

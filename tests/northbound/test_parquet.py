@@ -20,7 +20,7 @@ from tests.storage.rows import START, batch, ledger, step
 
 __all__ = ["memory"]
 HOUR = 3_600_000_000_000
-ARCHIVE = North(name="archive", kind="parquet", folder=Path("archive"), every=3600.0)
+ARCHIVE = North(name="archive", kind="parquet", folder=Path("archive"), every="1h")
 
 
 def archived(folder: Path, topic: str) -> list[dict[str, Any]]:

@@ -53,7 +53,7 @@ def reported() -> Told:
 
 
 def made(
-    folder: Path, reported: Told, facts: Facts = ONE, known: Sequence[EventRecord] = (), **limits: float
+    folder: Path, reported: Told, facts: Facts = ONE, known: Sequence[EventRecord] = (), **limits: float | str
 ) -> EventWriter:
     return EventWriter(folder / "rig.db", facts, Events(**limits), reported, lambda: known)  # type: ignore[arg-type]
 
@@ -68,7 +68,7 @@ def job(name: str, state: str = "complete", samples: int = 500, source: str = "c
     return Job(record, items, labels, (0, samples), {source: 65536})
 
 
-def written(folder: Path, reported: Told, count: int, **limits: float) -> EventWriter:
+def written(folder: Path, reported: Told, count: int, **limits: float | str) -> EventWriter:
     writer = made(folder, reported, **limits)
     writer.start()
     for _ in range(count):
@@ -142,10 +142,10 @@ def test_rig_of_several_sources_keeps_a_raw_recording_of_each(tmp_path: Path, re
 
 
 @pytest.mark.parametrize(
-    ("limits", "left"), [({"max_count": 3}, 3), ({"max_mb": 0.02}, 1), ({"keep": 1e-9}, 1)]
+    ("limits", "left"), [({"max_count": 3}, 3), ({"max_mb": 0.02}, 1), ({"keep": "0.000000001s"}, 1)]
 )
 def test_oldest_records_go_first_and_the_index_says_so(
-    tmp_path: Path, reported: Told, limits: dict[str, float], left: int
+    tmp_path: Path, reported: Told, limits: dict[str, float | str], left: int
 ) -> None:
     written(tmp_path, reported, 6, **limits)
     assert [name[8:16] for name in files(tmp_path)] == [f"{n:08d}" for n in range(6 - left, 6)]
@@ -155,10 +155,10 @@ def test_oldest_records_go_first_and_the_index_says_so(
 
 @pytest.mark.parametrize("moment", [1.0, 4e9])
 def test_records_made_by_a_wrong_clock_are_no_older(tmp_path: Path, reported: Told, moment: float) -> None:
-    written(tmp_path, reported, 3, keep=3600.0)
+    written(tmp_path, reported, 3, keep="1h")
     for name in files(tmp_path):
         os.utime(tmp_path / "rig.db.events" / name, (moment, moment))
-    written(tmp_path, reported, 1, keep=3600.0)
+    written(tmp_path, reported, 1, keep="1h")
     assert len(files(tmp_path)) == 4
 
 

@@ -203,7 +203,7 @@ def test_try_says_which_alarms_other_limits_would_have_raised(
     assert one["delta"] == pytest.approx(-5.0, abs=0.5)
     code, out, _ = deltak(capsys, "limits", config, "--try", other)
     assert code == 0
-    assert "1 alarms in place of 0" in out
+    assert "1 alarm in place of 0" in out
     assert asked(capsys, "limits", config, "--try", config)["more"] == []
 
 

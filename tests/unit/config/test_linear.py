@@ -130,7 +130,7 @@ def test_configuration_whose_matrix_file_changes_has_another_sum(tmp_path: Path)
         ("uncertain", ROW % ('R', 'dD = [[1.0], [0.0]]'), "model.parameter[0].dD", "1 rows of 1"),
         ("uncertain", ROW % ('A[0,0]', 'dD = [[1.0]]'), "model.parameter[0].name", "entry"),
         ('{ name = "v", unit = "m/s" }', '{ name = "p" }', "model.state[1].name", "names must differ"),
-        (', { name = "v", unit = "m/s" }', "", "model.state", "1 names for 2 states"),
+        (', { name = "v", unit = "m/s" }', "", "model.state", "1 name for 2 states"),
         ("A = [[0.9, 0.1], [-0.1, 0.9]]", 'A = { file = "none.mat" }', "model.A.file", "No such file"),
         ("A = [[0.9, 0.1], [-0.1, 0.9]]", 'A = { file = "plant.xls" }', "model.A.file", ".mat, .npz, .csv"),
         ("A = [[0.9, 0.1], [-0.1, 0.9]]", 'A = { fil = "a.mat" }', "model.A.fil", "unknown key"),
@@ -147,7 +147,7 @@ def test_linear_model_with_one_change_names_path_and_rule(
 
 
 REFUSED = {
-    "shape": ("B = [[0.0], [0.1]]", "B = [[0.0, 0.1]]", "model.B: has 1 rows of 2 columns; "),
+    "shape": ("B = [[0.0], [0.1]]", "B = [[0.0, 0.1]]", "model.B: has 1 row of 2 columns; "),
     "rows of different length": ("[-0.1, 0.9]]", "[-0.1]]", "model.A: "),
     "not a number": ("D = [[0.0]]", "D = [[nan]]", "model.D[0][0]: must be a finite number"),
     "infinite": ("C = [[1.0, 0.0]]", "C = [[1.0, inf]]", "model.C[0][1]: must be a finite number"),

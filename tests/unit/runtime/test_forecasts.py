@@ -41,7 +41,7 @@ def _fake_driver(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def rig() -> RigConfig:
     text = PRESS.replace("limit = 15.0", "limit = 5.0").replace("deadband = 1.5", "deadband = 0.5")
-    return read(text).model_copy(update={"forecast": Asked(every=86_400.0)})
+    return read(text).model_copy(update={"forecast": Asked(every="1d")})
 
 
 def falling(first: int, days: int) -> EstimateBatch:
@@ -164,7 +164,7 @@ def test_history_of_a_moment_is_too_short_without_a_look(rig: RigConfig, tmp_pat
 
 def test_side_and_horizon_of_the_configuration_are_kept(rig: RigConfig, tmp_path: Path) -> None:
     alarm = rig.alarm[0].model_copy(update={"side": "high"})
-    asked = rig.model_copy(update={"alarm": (alarm,), "forecast": Asked(every=60.0, horizon=5 * 86_400.0)})
+    asked = rig.model_copy(update={"alarm": (alarm,), "forecast": Asked(every="60s", horizon="5d")})
     record = made(asked, store(tmp_path / "a.db", falling(0, 30)))
     assert (record.limit, record.status, record.horizon_s) == (30.0, "beyond", 5 * 86_400.0)
 
@@ -182,7 +182,7 @@ def test_failure_is_one_event_and_nothing_else(rig: RigConfig, tmp_path: Path, w
     if wrong == "like":
         store(path, falling(0, 30))
         (tmp_path / "prior.json").write_text("[]")
-        asked = Asked(every=60.0, like=(tmp_path / "prior.json",))
+        asked = Asked(every="60s", like=(tmp_path / "prior.json",))
         rig = rig.model_copy(update={"forecast": asked})
     forecaster = Forecaster(rig, path)
     (event,) = forecaster.make("due", ("k1",)).records
@@ -253,7 +253,7 @@ def test_life_of_a_part_is_forecast_alarmed_and_scored(rig: RigConfig, tmp_path:
     """A part that falls for FALL days, seen day by day: the alarm comes before the limit, and the record is
     kept."""
     alarm = rig.alarm[0].model_copy(update={"within": 12 * 86_400.0})
-    rig = rig.model_copy(update={"alarm": (alarm,), "forecast": Asked(every=6 * 86_400.0)})
+    rig = rig.model_copy(update={"alarm": (alarm,), "forecast": Asked(every="6d")})
     path = tmp_path / "life.db"
     writer = StoreWriter(lambda: Store.open(path), [run_info(kind="replay")], lossless=True)
     writer.start()

@@ -160,16 +160,17 @@ def _print_predicted(rows: list[Document]) -> None:
     """Print what the windows can tell; what that rests on stands in each row only where rows differ."""
     if not rows:
         return
-    bases = {str(row.get("assumes") or "") for row in rows}
-    differ = len(bases) > 1
-    columns = ("parameter", "window, s", "sd to expect", "unit", *["with"][: int(differ)])
-    cells = [_predicted(row, differ) for row in rows]
+    columns: tuple[str, ...] = ("parameter", "window, s", "sd to expect", "unit", "with")
+    cells = [_predicted(row) for row in rows]
+    bases = {basis for *_, basis in cells}
+    alike = len(bases) == 1
+    if alike:
+        columns, cells = columns[:-1], [cell[:-1] for cell in cells]
     print_table("what the windows can tell", columns, cells, right=columns[1:3])
-    if not differ:
+    if alike:
         show(f"with {bases.pop()}")
 
 
-def _predicted(row: Document, differ: bool) -> tuple[str, ...]:
+def _predicted(row: Document) -> tuple[str, ...]:
     figures = (number(row.get("window_s")), number(row.get("sd"), 3))
-    basis = [str(row.get("assumes") or "")][: int(differ)]
-    return (str(row["parameter"]), *figures, str(row.get("unit") or ""), *basis)
+    return (str(row["parameter"]), *figures, str(row.get("unit") or ""), str(row.get("assumes") or ""))

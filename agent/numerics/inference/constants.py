@@ -86,9 +86,10 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
             for b in beside
         ]
     commanded = [(e, spread) for _, e, spread, _ in off if e @ (apart & ~binary)]
-    share = (1 - tuning.PRIOR_HEALTHY) / max(len(off), 1)
     both = [
-        replace(h, covariance=h.covariance + spread, prior=share * h.prior, late=e)
+        replace(
+            h, covariance=h.covariance + spread, prior=h.prior * (1 - tuning.PRIOR_HEALTHY) / odds, late=e
+        )
         for e, spread in commanded
         for h in others
         if not h.members @ e

@@ -173,6 +173,14 @@ class Explainer:
             window, moved = refilled(window, change, self.settings.rig), moved + change
         return window, moved
 
+    def _later(self, newest: int) -> float:
+        """Windows from the newest that was learnt from to the one that ends with a sample."""
+        return (newest - self._learnt_at) / self.settings.plan.window
+
+    def _walked(self, known: Knowledge, newest: int) -> Knowledge:
+        """Return what is known when a sample is read: constants walked since the last window learnt from."""
+        return replace(known, constants=known.constants.predicted(max(self._later(newest), 0.0)))
+
     def due(self, reading: Reading) -> BoolArray:
         """(N,) rows whose windows are to be learnt from: it is time, or noise is far less than was learnt."""
         index = reading.index
@@ -197,8 +205,7 @@ class Explainer:
         if self.disturbance.since(self.schedule.tried):  # the windows before a change do not compare
             known = replace(known, scatter=known.scatter.interrupted())
         window = self.window(record, newest)[0]
-        later = (newest - self._learnt_at) / self.settings.plan.window
-        posterior, learnt = self.learner.learn(window, known, later=max(later, 1.0))
+        posterior, learnt = self.learner.learn(window, known, later=max(self._later(newest), 1.0))
         self.solved += 1
         if posterior.changing or not posterior.converged:
             self.schedule.later(newest, failed=not posterior.converged)
@@ -267,7 +274,7 @@ class Explainer:
         assert known is not None  # noqa: S101 - known since the first window
         self.solved += 1
         window = self.window(record, newest)[0]
-        posterior, theta = self.learner.solve(window, known)
+        posterior, theta = self.learner.solve(window, self._walked(known, newest))
         self._last = (window, posterior)
         rests = posterior.holds
         same = rests and self._is_the_same(posterior)
@@ -293,7 +300,8 @@ class Explainer:
         is_asked = any((rests, whole, faults.is_active))
         if known is None or self.posterior is None or not is_asked:
             return False
-        found = faults.contest(record, window, newest, known, self.posterior.sd_repeat, theta)
+        now = self._walked(known, newest)
+        found = faults.contest(record, window, newest, now, self.posterior.sd_repeat, theta)
         return faults.follow(newest, found, onset, rests)
 
     def explain(self, record: Record, newest: int) -> bool:
@@ -343,9 +351,10 @@ class Explainer:
         """Take a change of the noise for what broke a window, unless one jump explains it better."""
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
-        if jumps and not self.learner.contested(window, known, posterior):
+        if jumps and not self.learner.contested(window, self._walked(known, newest), posterior):
             return False
-        said, learnt = self.learner.learn(window, known, shaken=True, believe=True)
+        later = max(self._later(newest), 1.0)
+        said, learnt = self.learner.learn(window, known, shaken=True, believe=True, later=later)
         if not said.converged or (jumps and not learnt.noise.exceeds(known.noise)):
             return False
         self._believe(newest, window, learnt)
@@ -357,7 +366,7 @@ class Explainer:
     def _runs_on(self, window: Window, newest: int) -> bool:
         """Whether parameters on straight lines explain a window; its row then says where they end."""
         assert self.known is not None  # noqa: S101 - known since the first window
-        line = self.learner.line(window, self.known)
+        line = self.learner.line(window, self._walked(self.known, newest))
         self._moves = line.holds
         if line.holds:
             self.lines[newest] = line.end

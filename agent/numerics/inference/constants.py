@@ -33,7 +33,7 @@ class Hypothesis:
         drifts: whether it changes from window to window.
         covariance, walk: (c, c) prior covariance and random walk a window.
         prior: probability before any data.
-        late: (c,) 1 for the delay of inputs, where that is off beside what `name` says; None else.
+        late: (c,) 1 for the delay of commanded inputs, where that is off beside what `name` says; None else.
     """
 
     name: str
@@ -55,8 +55,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses on a rig's constants; those that no data show are within their data sheets.
 
     A force that is held, or a commanded one that acts late, says nothing of how well all else is known: its
-    hypothesis stands beside each of those, and beside what else may be off. How much constants wander says as
-    little of how far off they are: all within their data sheets walk alike.
+    hypothesis stands beside each of those. Of a commanded one it stands beside what else may be off, too.
     """
     sheet = np.array([c.sheet for c in constants])
     shows = np.array([c.shows for c in constants], dtype=bool)
@@ -64,9 +63,12 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     apart = np.array([c.apart for c in constants], dtype=bool)
     quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
     base = [("as configured", _within(sheet, shows, binary, tuning.AS_CONFIGURED), quiet)]
-    wandering = np.diag((tuning.SHEET_WALK * np.where(binary, tuning.AS_CONFIGURED, 1.0) * sheet) ** 2)
     base += [
-        ("within data sheet", _within(sheet, shows, binary, factor), wandering)
+        (
+            "within data sheet",
+            _within(sheet, shows, binary, factor),
+            np.diag((tuning.SHEET_WALK * np.where(binary, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
+        )
         for factor in tuning.SHEET_FACTORS
     ]
     none = np.zeros(len(constants))
@@ -83,14 +85,14 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
             for walk in walks
             for b in beside
         ]
-    late = [(name, e, spread) for name, e, spread, _ in off if e @ apart]
+    commanded = [(e, spread) for _, e, spread, _ in off if e @ (apart & ~binary)]
     both = [
         replace(
             h, covariance=h.covariance + spread, prior=h.prior * (1 - tuning.PRIOR_HEALTHY) / odds, late=e
         )
-        for name, e, spread in late
+        for e, spread in commanded
         for h in others
-        if h.name != name
+        if not h.members @ e
     ]
     return tuple(healthy + others + both)
 
@@ -198,25 +200,14 @@ class Constants:
             weight[:, None] * apart
         ).T @ apart
 
-    def walked(self, windows: float) -> "Constants":
-        """Return what is known so many windows later where no hypothesis switches."""
-        walk = np.array([h.walk for h in self.hypotheses])
-        return replace(self, covariance=self.covariance + windows * walk)
-
     def predicted(self, windows: float = 1.0) -> "Constants":
-        """Return what is known so many windows later: constants walk, hypotheses switch.
-
-        One that was refuted and becomes true again has what it says before any data, its odds with it: where
-        it stood when it was refuted would have paid nothing for how far that is. Of both the likelier is kept
-        (Alspach & Sorenson's pruning), since their common covariance would let all constants go.
-        """
-        first, walked = Constants.prior(self.hypotheses), self.walked(windows)
+        """Return what is known so many windows later: constants walk, hypotheses switch."""
+        prior = np.array([h.prior for h in self.hypotheses])
+        prior /= prior.sum()
+        walk = np.array([h.walk for h in self.hypotheses])
         stays = (1 - tuning.SWITCH) ** windows
-        stayed, switched = stays * self.weight, (1 - stays) * first.weight
-        anew = switched > stayed
-        mean = np.where(anew[:, None], first.mean, self.mean)
-        covariance = np.where(anew[:, None, None], first.covariance, walked.covariance)
-        return Constants(self.hypotheses, stayed + switched, mean, covariance)
+        weight = stays * self.weight + (1 - stays) * prior
+        return Constants(self.hypotheses, weight, self.mean, self.covariance + windows * walk)
 
     def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
         """Return what is known after a window of information S (c, c) and score g (c,) about η = at (c,)."""

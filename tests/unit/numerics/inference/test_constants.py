@@ -61,34 +61,8 @@ def test_constants_switch_and_walk_from_window_to_window() -> None:
     assert later.weight.sum() == pytest.approx(1.0)
     assert 1 - later.weight[0] == pytest.approx(tuning.SWITCH * (1 - prior.weight[0]))
     drifting = next(i for i, h in enumerate(prior.hypotheses) if h.drifts and h.name == "x1")
-    grown = prior.predicted().covariance[drifting, 2, 2] - prior.covariance[drifting, 2, 2]
+    grown = later.covariance[drifting, 2, 2] - sure.covariance[drifting, 2, 2]
     assert grown == pytest.approx(tuning.DRIFT_WALKS[0] ** 2, rel=1e-3)
-
-
-def test_constants_refuted_hypothesis_comes_back_with_its_prior() -> None:
-    prior = Constants.prior(hypotheses_of(CONSTANTS))
-    told = prior.updated(
-        np.diag([1e8] * 3), np.array([8e6, 0.0, 0.0]), np.zeros(3)
-    )  # m1 8 % off, others right
-    later = told.predicted()
-    refuted = told.weight < 0.1 * tuning.SWITCH * prior.weight
-    assert refuted[0]
-    assert not refuted.all()
-    assert np.all(later.mean[refuted] == 0.0)
-    assert np.array_equal(later.covariance[refuted], prior.covariance[refuted])
-    assert np.array_equal(later.mean[~refuted], told.mean[~refuted])
-
-
-def test_constants_that_are_all_off_stay_as_uncertain_as_what_explained_them() -> None:
-    """Where no constant can be off alone, data sheets three times as wide explain it: window after window."""
-    known = Constants.prior(hypotheses_of(CONSTANTS))
-    apart = np.array([0.05, -0.05, 0.0])
-    S = np.diag([1e8, 1e8, 0.0])  # nothing tells of x1
-    sds = []
-    for _ in range(40):
-        known = known.predicted().updated(S, S @ apart, np.zeros(3))
-        sds.append(np.sqrt(known.total[2, 2]))
-    assert min(sds) > 0.9 * sds[0]
 
 
 def test_constants_some_windows_later_are_what_as_many_steps_make_them() -> None:
@@ -99,11 +73,7 @@ def test_constants_some_windows_later_are_what_as_many_steps_make_them() -> None
         stepped = stepped.predicted()
     at_once = known.predicted(7)
     assert at_once.weight == pytest.approx(stepped.weight, abs=1e-12)
-    assert at_once.covariance[0] == pytest.approx(stepped.covariance[0], rel=1e-12)
-    standing = Constants.prior(known.hypotheses)
-    assert standing.predicted(2).covariance == pytest.approx(
-        standing.predicted().predicted().covariance, rel=1e-12
-    )
+    assert at_once.covariance == pytest.approx(stepped.covariance, rel=1e-12)
     assert known.drift_probability == 0
     drifts = np.array([h.drifts for h in stepped.hypotheses])
     assert 0 < stepped.drift_probability == pytest.approx(stepped.weight[drifts].sum())
@@ -117,12 +87,7 @@ def test_constants_that_are_exact_have_no_hypothesis() -> None:
 
 def test_a_force_is_held_or_runs_as_configured_however_well_all_else_is_known() -> None:
     late = tuple(Constant("delay", "delay", number, 0.25, apart=number == 1) for number in (0, 1))
-    every = hypotheses_of((*CONSTANTS, *late))
-    beside = [h for h in every if h.late is not None]
-    # beside all else that may be off, too, but not beside a delay, which has the same name
-    assert {(h.name, h.drifts) for h in beside} == {(h.name, h.drifts) for h in every if h.members[:3].any()}
-    assert all(h.covariance[4, 4] >= tuning.OFF_DELAY**2 for h in beside)
-    found = [h for h in every if h.late is None]
+    found = hypotheses_of((*CONSTANTS, *late))
     held = [h for h in found if h.members[4]]
     healthy = [h for h in found if not h.members.any()]
     others = np.ix_(range(4), range(4))

@@ -14,7 +14,7 @@ WINDOWS, RECORDINGS, RIGS = 40, 2, 6
 QUICK_WINDOWS = 20
 FIRST_SEED = 7000
 KINDS: tuple[tuple[str, ...], ...] = ((), *((kind,) for kind in (*FAULTS, *sorted(DRIVEN))), *PAIRS)
-QUICK = ((1, ("AR sensors", "one output")), (3, ("one mass", "hum")))
+QUICK = ((1, ("AR sensors", "one output")), (3, ("one mass", "hum")), (7502, ("gain drifts",)))
 """Rigs, by their seeds, and what is wrong with them."""
 
 

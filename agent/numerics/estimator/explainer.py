@@ -178,8 +178,11 @@ class Explainer:
         return (newest - self._learnt_at) / self.settings.plan.window
 
     def _walked(self, known: Knowledge, newest: int) -> Knowledge:
-        """Return what is known when a sample is read: constants walked since the last window learnt from."""
-        return replace(known, constants=known.constants.predicted(max(self._later(newest), 0.0)))
+        """Return what is known when a sample is read: constants walked since the last window learnt from.
+
+        That one went wrong since is not assumed: it is what the windows solved with this are asked.
+        """
+        return replace(known, constants=known.constants.walked(max(self._later(newest), 0.0)))
 
     def due(self, reading: Reading) -> BoolArray:
         """(N,) rows whose windows are to be learnt from: it is time, or noise is far less than was learnt."""

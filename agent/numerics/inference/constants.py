@@ -200,14 +200,17 @@ class Constants:
             weight[:, None] * apart
         ).T @ apart
 
+    def walked(self, windows: float) -> "Constants":
+        """Return what is known so many windows later where no hypothesis switches."""
+        walk = np.array([h.walk for h in self.hypotheses])
+        return replace(self, covariance=self.covariance + windows * walk)
+
     def predicted(self, windows: float = 1.0) -> "Constants":
         """Return what is known so many windows later: constants walk, hypotheses switch."""
         prior = np.array([h.prior for h in self.hypotheses])
         prior /= prior.sum()
-        walk = np.array([h.walk for h in self.hypotheses])
         stays = (1 - tuning.SWITCH) ** windows
-        weight = stays * self.weight + (1 - stays) * prior
-        return Constants(self.hypotheses, weight, self.mean, self.covariance + windows * walk)
+        return replace(self.walked(windows), weight=stays * self.weight + (1 - stays) * prior)
 
     def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
         """Return what is known after a window of information S (c, c) and score g (c,) about η = at (c,)."""

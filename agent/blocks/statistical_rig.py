@@ -182,8 +182,8 @@ def _sizes(model: Model) -> FloatArray:
 
 def _constants(config: RigConfig, built: RigModel, masses: tuple[str, ...]) -> tuple[Constant, ...]:
     """Return the constants; of a linear model a gain that its parameters can do in its place never shows."""
-    direct, curved = _is_direct(config, built), _is_curved(config, built)
-    constants = constants_of(config, masses, direct=direct, curved=curved)
+    curved = _is_curved(config, built)
+    constants = constants_of(config, masses, direct=_is_direct(config, built), curved=curved)
     sensed = built.model if isinstance(built.model, SensedModel) else SensedModel(built.model, ())
     if not isinstance(sensed.model, (AffineModel, DescriptorModel)):
         return constants

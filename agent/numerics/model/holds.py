@@ -73,7 +73,7 @@ def curvature(
     """Return what straight lines between samples take from outputs where an input is smooth in truth.
 
     A straight line runs T² u'' / 12 beside a smooth input, in the mean of a sample, and the motion that an
-    input causes follows it: w = -(T² / 12) y'' + (T⁴ / 240) y'''' beside y, without what is seen directly. With
+    input causes follows it: w = -(T² / 12) y'' + (T⁴ / 240) y'''' but for what is seen directly. With
     x = x̃ + B₁ u that is static in the shifted state x̃, the input u and its change since the sample before s,
     which stands for T u'. Right but for the fourth order in the angle that a motion runs in a sample.
 

@@ -9,13 +9,13 @@ from agent.config import RigConfig
 from agent.config.domains.plant import Domain
 from agent.config.model.tables import Channel, MechanicsModel
 from agent.numerics.estimator.settings import EstimatorSettings
-from agent.numerics.inference.tuning import DELAY_SHEET
+from agent.numerics.inference.tuning import CURVE_SHEET, CURVED_A_PERIOD, DELAY_SHEET
 from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
 from agent.numerics.model.identifiability import identifiability
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.numerics.model.sensors import Nuisance, SensedModel, Side
-from agent.numerics.model.statespace import AffineModel, Model, StateSpace
-from agent.numerics.model.uncertain import Constant, Rig, Rubbing
+from agent.numerics.model.statespace import AffineModel, Model, StateSpace, modes
+from agent.numerics.model.uncertain import CURVED, Constant, Rig, Rubbing
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
@@ -182,7 +182,8 @@ def _sizes(model: Model) -> FloatArray:
 
 def _constants(config: RigConfig, built: RigModel, masses: tuple[str, ...]) -> tuple[Constant, ...]:
     """Return the constants; of a linear model a gain that its parameters can do in its place never shows."""
-    constants = constants_of(config, masses, direct=_is_direct(config, built))
+    curved = _is_curved(config, built)
+    constants = constants_of(config, masses, direct=_is_direct(config, built), curved=curved)
     sensed = built.model if isinstance(built.model, SensedModel) else SensedModel(built.model, ())
     if not isinstance(sensed.model, (AffineModel, DescriptorModel)):
         return constants
@@ -210,10 +211,13 @@ def sheets_of(config: RigConfig) -> dict[str, float]:
     return {}
 
 
-def constants_of(config: RigConfig, masses: tuple[str, ...], direct: bool = False) -> tuple[Constant, ...]:
+def constants_of(
+    config: RigConfig, masses: tuple[str, ...], direct: bool = False, curved: bool = False
+) -> tuple[Constant, ...]:
     """Return the constants the data sheets leave open: masses, output and input gains, the inputs' delay.
 
-    direct: whether an output sees an input directly.
+    direct: whether an output sees an input directly; curved: whether straight lines between samples may not
+    be what an input did.
     """
     sheets = sheets_of(config)
     wanted = set(estimated(config))
@@ -234,12 +238,30 @@ def constants_of(config: RigConfig, masses: tuple[str, ...], direct: bool = Fals
     out.append(Constant("delay", "delay", 0, delay, apart=is_held))
     if direct or not is_held:
         out.append(Constant("delay", "delay", 1, delay, apart=not is_held))
+    if curved:
+        out.append(Constant("curve", "delay", CURVED, CURVE_SHEET, shows=False))
     return tuple(out)
 
 
 def _is_direct(config: RigConfig, built: RigModel) -> bool:
     """Whether an output sees an input directly, as an accelerometer sees the force on its own mass."""
     return bool(built.model.continuous(built.model.nominal).D[:, : len(config.inputs)].any())
+
+
+def _is_curved(config: RigConfig, built: RigModel) -> bool:
+    """Whether straight lines between samples are not what a smooth force did, as the fastest mode shows it.
+
+    None beside velocities, for which the force's own slope, known from one side only, counts as much as the
+    motion's. None beside dry friction, which is no smooth input.
+    """
+    follows = config.estimator.hold == "first" and config.inputs and not _has_friction(config)
+    if not (follows and isinstance(config.model, MechanicsModel)):
+        return False
+    if any(c.quantity == "velocity" for c in config.channel):
+        return False
+    rate = config.rig.sample_rate_hz
+    poles = modes(built.model.continuous(built.model.nominal), 1.0 / rate)
+    return bool(poles.imag.max(initial=0.0) / (2 * np.pi) > rate / CURVED_A_PERIOD)
 
 
 def _rubbings(config: RigConfig, pushed: _Pushed) -> tuple[Rubbing, ...]:

@@ -8,8 +8,12 @@ import pytest
 
 from agent.blocks.constants_watch import SOURCE as MODEL
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, Status
+from sim_bus.rig.plant import Hold
+from tests.statistical.chains import TWO
 from tests.statistical.detection import pipeline, records
 from tests.statistical.machine import NAMES, NOMINAL, SECOND, each, say
+from tests.statistical.nearly_right import Case, Play
+from tests.statistical.nearly_right import said as said_of
 from tests.statistical.operation import FULL_SCALE_M
 from tests.statistical.sensor_faults import healthy
 
@@ -112,6 +116,17 @@ def test_channel_late_or_in_millimetres_is_named_and_gives_no_valid_row(kind: st
     said = one((kind, 0))
     assert (said.valid, said.alarms) == (0, ("x1",))
     assert said.words[0].startswith(words)
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+def test_displacement_in_millimetres_is_named_where_masses_move_far(hold: Hold) -> None:
+    rng = np.random.default_rng([0, 77])
+    made = Play.of(TWO, rng, 10 * TWO.window)
+    made.hold = hold
+    readings = made.readings()[2 * TWO.window :]
+    readings[:, 1] *= 1000.0
+    found = said_of(Case(TWO, config={"hold": hold}), readings)
+    assert (found.valid.sum(), found.alarms) == (0, ("x1",))
 
 
 def test_scaled_channel_is_named() -> None:

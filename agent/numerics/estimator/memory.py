@@ -57,6 +57,8 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
         return None
     count = len(found["eta"])
+    if count != hypotheses[0].members.size:
+        return None
     constants = Constants(
         hypotheses, array(c["weight"]), array(c["mean"]).reshape(len(hypotheses), count),
         array(c["covariance"]).reshape(len(hypotheses), count, count),

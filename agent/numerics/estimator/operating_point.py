@@ -14,7 +14,7 @@ from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.model.uncertain import Rig, Sampled, delays_of, sampled
+from agent.numerics.model.uncertain import CURVED, Rig, Sampled, delays_of, sampled
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
 from agent.types import FloatArray, IntArray
 
@@ -118,7 +118,7 @@ class _Seen:
     """The sampled model as it is seen through gains at η."""
 
     def __init__(self, rig: Rig, eta: FloatArray, at: Sampled) -> None:
-        self.rig, self.late = rig, at.late
+        self.rig, self.late, self.curve = rig, at.late, at.curve
         outputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "output"}
         inputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "input"}
         p = len(rig.model.continuous(rig.model.nominal).C)
@@ -153,6 +153,10 @@ class _Seen:
         elif constant.kind == "input":
             columns = self._columns_of(constant.number)
             dB[:, columns], dD[:, columns] = B[:, columns], D[:, columns]
+        elif self.curve is not None and constant.number == CURVED:
+            n = len(A)
+            dC = self.output_gain[:, None] * self.curve[:, :n]
+            dD = self.output_gain[:, None] * self.curve[:, n:] * self.input_gain
         elif self.late is not None:
             late = self.late[constant.number] * self.input_gain[m:]
             dB[:, m:] = late[: len(A)]

@@ -11,7 +11,7 @@ reading itself; that of a delay is the change a sample. A number found so is men
 window looked at again, until it rests: what counts is the evidence of the mended window.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -122,6 +122,13 @@ class _Prior:
     b: FloatArray
     constant: float
 
+    def towards(self, count: float) -> "_Prior":
+        """Return the prior with -2 count log(1 + s) in the cost, to second order in s, the last column's."""
+        R, b = self.R.copy(), self.b.copy()
+        R[-1, -1] += count
+        b[-1] += count
+        return replace(self, R=R, b=b)
+
 
 class ChannelTest:
     """Weighs explanations of windows of one rig."""
@@ -204,26 +211,37 @@ class ChannelTest:
             (channel, kind) for channel in (*range(p), *(p + j for j in self._inputs)) for kind in kinds
         ]
         columns = np.stack([self._column(at, window, known, *fault) for fault in faults], axis=2)
-        for (channel, kind), found in zip(faults, self._with(at, known, sd, columns), strict=True):
+        scales = [self._scales(*fault) for fault in faults]
+        for (channel, kind), found in zip(faults, self._with(at, known, sd, columns, scales), strict=True):
             if found is not None:
                 yield Fault(channel, kind, found[1], found[2]), found[0]
 
+    def _scales(self, channel: int, kind: Kind) -> bool:
+        """Whether a fault scales readings with their noise."""
+        return kind == "gain" and channel < self._learner.p
+
     def _with(
-        self, at: Linearised, known: Knowledge, sd: FloatArray, more: ComplexArray
+        self, at: Linearised, known: Knowledge, sd: FloatArray, more: ComplexArray, scales: Sequence[bool]
     ) -> Iterator[tuple[float, float, float] | None]:
-        """Yield what each column (kept, p, f) leaves, its size and its sd; None where nothing shows it."""
+        """Yield what each column (kept, p, f) leaves, its size and its sd; None where nothing shows it.
+
+        scales (f,): columns that scale readings. Least squares alone would make these small, their noise with
+        them: the density of readings as they came has log(1 + size) for each of them, here to second order.
+        """
         nb = at.regression.layout.base
         G = at.cells.gram(
             at.Si, np.concatenate([at.regression.X[..., :nb], more, at.regression.X[..., -1:]], axis=2)
         )
         G[-1, -1] = at.G[-1, -1]
         prior = self._prior(at, known, (at.unit / sd) ** 2, 1)
-        for i in range(nb, len(G) - 1):
+        # columns show, and shrink, the noise of the kept bins only
+        scaled = prior.towards(float(at.cells.weight[: at.cells.kept].sum()) * _temper(known))
+        for i, by_scale in enumerate(scales, nb):
             columns = [*range(nb), i, -1]
             if G[i, i] <= 0:
                 yield None
                 continue
-            rss, fit, V = _fit(G[np.ix_(columns, columns)], prior)
+            rss, fit, V = _fit(G[np.ix_(columns, columns)], scaled if by_scale else prior)
             yield rss, float(fit[-1]), float(np.sqrt(V[-1, -1]))
 
     def _column(
@@ -283,9 +301,8 @@ class ChannelTest:
             return None
         window = _put_right(whole, self._rig, fault)
         at = self._learner.at_point(window, known)
-        (found,) = self._with(
-            at, known, sd, self._column(at, window, known, fault.channel, fault.kind)[..., None]
-        )
+        column = self._column(at, window, known, fault.channel, fault.kind)[..., None]
+        (found,) = self._with(at, known, sd, column, [self._scales(fault.channel, fault.kind)])
         return None if found is None else (window, found[1], found[2])
 
     def _explained(

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.model.statespace import Hold, StateSpace, exponential_with_derivatives
+from agent.numerics.model.statespace import Discrete, Hold, StateSpace, exponential_with_derivatives
 from agent.types import FloatArray
 
 _TAPS: Final[dict[Hold, tuple[int, ...]]] = {
@@ -65,6 +65,30 @@ def sample(continuous: StateSpace, period_s: float, hold: Hold) -> Tapped:
     dB = np.einsum("oj,qjnm->qnom", weights, dG).reshape(continuous.q, continuous.n, columns)
     D, dD = _direct(continuous.D, offsets), _direct(continuous.dD, offsets)
     return Tapped(StateSpace(A, B, continuous.C, D, dA, dB, continuous.dC, dD), offsets, period_s)
+
+
+def curvature(
+    continuous: StateSpace, discrete: Discrete
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what straight lines between samples take from outputs where an input is smooth in truth.
+
+    A straight line runs T² u'' / 12 beside a smooth input, in the mean of a sample, and the motion that an
+    input causes follows it: w = -(T² / 12) y'' + (T⁴ / 240) y'''' but for what is seen directly. With
+    x = x̃ + B₁ u that is static in the shifted state x̃, the input u and its change since the sample before s,
+    which stands for T u'. Right but for the fourth order in the angle that a motion runs in a sample.
+
+    Returns: w by x̃ (p, n), by u and by s (p, m), and the derivatives of these by each parameter.
+    """
+    c, T = continuous, discrete.period_s
+    AA, dAA = c.A @ c.A, c.dA @ c.A + c.A @ c.dA
+    P, dP = (T**4 / 240) * AA - (T**2 / 12) * np.eye(c.n), (T**4 / 240) * dAA
+    # outputs of the second derivative's correction by x, then what the input itself adds to that derivative
+    CP, dCP = c.C @ P, c.dC @ P + c.C @ dP
+    CPA, dCPA = CP @ c.A, dCP @ c.A + CP @ c.dA
+    Cx, dCx = CPA @ c.A, dCPA @ c.A + CPA @ c.dA
+    Du = Cx @ discrete.B1 + CPA @ c.B
+    dDu = dCx @ discrete.B1 + Cx @ discrete.dB1 + dCPA @ c.B + CPA @ c.dB
+    return Cx, Du, CP @ c.B / T, dCx, dDu, (dCP @ c.B + CP @ c.dB) / T
 
 
 def _derivative_weights(offsets: tuple[int, ...]) -> FloatArray:

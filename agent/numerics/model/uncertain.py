@@ -6,11 +6,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from agent.numerics.model.holds import sample, straight, taps
+from agent.numerics.model.holds import curvature, sample, straight, taps
 from agent.numerics.model.statespace import Discrete, Hold, Model, StateSpace, discretise
 from agent.types import BoolArray, FloatArray, IntArray
 
 Kind = Literal["mass", "output", "input", "delay"]
+CURVED = 2
+"""Number of the constant that says how smooth inputs are between samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +24,8 @@ class Constant:
         kind: a mass, an output's or an input's gain, or the delay of all measured inputs.
         number: which mass (of the model's parameters after θ), output or input it belongs to; of delays 0
             where the inputs are late, 1 for what is so or not: that an input is held until the next reading
-            (½ sample) in place of a straight line, or that outputs are read before a held one steps (1).
+            (½ sample) in place of a straight line, or that outputs are read before a held one steps (1);
+            2 for what smooth inputs do beyond straight lines between samples (1: all of it).
         sheet: standard deviation of its logarithm; of the delay: samples.
         shows: whether data can tell that it is off: no gain can be told where all masses are estimated or
             absent.
@@ -100,6 +103,11 @@ class Rig:
         return self.model.nominal[: self.q]
 
     @property
+    def is_curved(self) -> bool:
+        """Whether inputs may be smooth between samples where the hold says straight lines."""
+        return any(c.kind == "delay" and c.number == CURVED for c in self.constants)
+
+    @property
     def shifts(self) -> tuple[int, ...]:
         """Offsets of the further readings a polynomial hold takes of driven inputs; none for other holds."""
         return () if self.hold == straight(self.hold) else tuple(o for o in taps(self.hold) if o)
@@ -133,6 +141,8 @@ class Sampled:
         unit: (q,) what a deviation of 1 means for each parameter.
         late: (2, n + p, m) derivatives of the slopes' columns of B, above those of D, by the delays; with
             them u is followed by the slopes u(k) − u(k−1). None of a rig whose inputs are never late.
+        curve: (p, n + 2 m) derivatives of C and D by delays[2], what smooth inputs do beyond straight lines;
+            None of a rig whose inputs are straight.
     """
 
     A: FloatArray
@@ -150,6 +160,7 @@ class Sampled:
     unit: FloatArray
     delays: FloatArray | None
     late: FloatArray | None
+    curve: FloatArray | None
 
     @property
     def n(self) -> int:
@@ -175,16 +186,22 @@ def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray, delays: FloatArra
     discrete = discretise(continuous, rig.period_s, straight(rig.hold))
     model = discrete.model
     B, D, dB, dD = _stacked(rig, continuous, model)
-    late = None
+    C, dC = model.C, model.dC
+    late = curve = None
     if delays is not None:
         (B, D, dB, dD), late = _late(rig, discrete, (B, D, dB, dD), delays)
+        if rig.is_curved:
+            curve, d_curve = _curve(rig, continuous, discrete)
+            n, amount = continuous.n, delays[2]
+            C, D = C + amount * curve[:, :n], D + amount * curve[:, n:]
+            dC, dD = dC + amount * d_curve[..., :n], dD + amount * d_curve[..., n:]
     unit = unit_of(rig, theta)
     steps = np.concatenate([unit, mass])[:, None, None]
     f = rig.pushed
     return Sampled(
-        model.A, B, model.C, D, model.B[:, f], model.D[:, f],
-        model.dA * steps, dB * steps, model.dC * steps, dD * steps,
-        theta.copy(), log_mass.copy(), unit, delays, late,
+        model.A, B, C, D, model.B[:, f], model.D[:, f],
+        model.dA * steps, dB * steps, dC * steps, dD * steps,
+        theta.copy(), log_mass.copy(), unit, delays, late, curve,
     )  # fmt: skip
 
 
@@ -200,6 +217,18 @@ def _late(
     slopes = [less * part for part in missing.parts]
     late = np.stack([less * np.vstack(rate) for rate in missing.rates])
     return [np.concatenate(pair, axis=-1) for pair in zip(given, slopes, strict=True)], late
+
+
+def _curve(rig: Rig, continuous: StateSpace, discrete: Discrete) -> tuple[FloatArray, FloatArray]:
+    """Return what smooth inputs do beyond straight lines: columns of C, of D, and of the slopes' D beside it.
+
+    The derivatives of these by each parameter come second.
+    """
+    Cx, Du, Ds, dCx, dDu, dDs = curvature(continuous, discrete)
+    open_at = rig.driven * 1.0
+    u = rig.measured
+    curve = np.hstack([Cx, Du[:, u] * open_at, Ds[:, u] * open_at])
+    return curve, np.concatenate([dCx, dDu[:, :, u] * open_at, dDs[:, :, u] * open_at], axis=-1)
 
 
 class _Missing(NamedTuple):
@@ -241,7 +270,7 @@ def _missing_of_steps(
     but runs in straight lines, exact at −½. Outputs that are read before the step see u less s directly.
     """
     B, D, dB, dD = given
-    d, unseen = delays
+    d, unseen = delays[:2]
     if d < 0:
         early = [2 * part for part in _line_for_step(rig, discrete)]
         parts = [d * part for part in early]
@@ -256,9 +285,12 @@ def _missing_of_steps(
 
 
 def delays_of(rig: Rig, eta: FloatArray) -> FloatArray | None:
-    """Return the delays (2,) among constants (c,), samples; None of a rig whose inputs are never late."""
+    """Return the delays (2,), or (3,) where inputs may be smooth, among constants (c,), by their numbers.
+
+    None of a rig whose inputs are never late.
+    """
     found = rig.of_kind("delay")
-    delays = np.zeros(2)
+    delays = np.zeros(3 if rig.is_curved else 2)
     delays[[rig.constants[i].number for i in found]] = eta[found]
     return delays if len(found) else None
 

@@ -9,7 +9,7 @@ import numpy as np
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response, end_states
 from agent.numerics.inference.spectral.sources import Source, end_effect
-from agent.numerics.model.uncertain import Rig
+from agent.numerics.model.uncertain import CURVED, Rig
 from agent.types import ComplexArray, FloatArray, IntArray
 
 Weigh = Callable[[ComplexArray], FloatArray]
@@ -221,7 +221,7 @@ class Regressor:
             X[0] = sums[-1] / np.sqrt(bins.window)
         modelled = self._outputs(X, low)
         parts = [gamma, self._ends(), self._lost(window), *self._parameters(X, low)]
-        parts.append(self._constants(modelled, low))
+        parts.append(self._constants(modelled, X, low))
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
         X_all = np.concatenate(parts, axis=2)
@@ -301,8 +301,8 @@ class Regressor:
         columns = self.response.columns(X, U) * self.output_gain[:, None]
         return [columns[..., : self.rig.q], columns[..., self.rig.q :]]
 
-    def _constants(self, modelled: ComplexArray, U: ComplexArray) -> ComplexArray:
-        """Columns of gains and delay, in the order of the rig's constants after the masses."""
+    def _constants(self, modelled: ComplexArray, X: ComplexArray, U: ComplexArray) -> ComplexArray:
+        """Columns of gains and delays, in the order of the rig's constants after the masses."""
         kept, p = modelled.shape
         rig = self.rig
         columns = []
@@ -313,6 +313,8 @@ class Regressor:
             elif constant.kind == "input":
                 taps = self._columns_of(constant.number).tolist()
                 column = np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
+            elif (curve := self.response.at.curve) is not None and constant.number == CURVED:
+                column = np.hstack([X, U]) @ curve.T * self.output_gain
             elif (late := self.response.at.late) is not None:
                 slopes = U[:, len(rig.measured) :]
                 column = self.response.delayed(late[constant.number], slopes) * self.output_gain

@@ -5,7 +5,7 @@ import pytest
 
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.statespace import Hold, discretise
-from agent.numerics.model.uncertain import Constant, Rig, Sampled, delays_of, sampled
+from agent.numerics.model.uncertain import CURVED, Constant, Rig, Sampled, delays_of, sampled
 from agent.types import FloatArray
 
 HELD, ONE_LATE = np.array([0.0, 0.5]), np.array([1.0, 0.0])
@@ -110,6 +110,38 @@ def test_slopes_have_the_derivatives_by_parameters_and_by_either_delay(
         moved = np.vstack([up.B - down.B, up.D - down.D]) / (2 * step)
         assert at.late is not None
         np.testing.assert_allclose(at.late[i], moved[:, 1:], rtol=1e-6, atol=1e-10)
+
+
+def test_a_smooth_force_is_followed_to_the_fourth_order_where_straight_lines_are_to_the_second() -> None:
+    line = rig()
+    line = Rig(**{**vars(line), "constants": (*LATE, Constant("curve", "delay", CURVED, 1.0))})
+    continuous = line.model.continuous(line.model.nominal)
+    omega = 2 * np.pi / (12 * line.period_s)
+    turn = np.exp(1j * omega * line.period_s)
+    force = np.array([1.0, 1.0 - 1.0 / turn])
+    seen = continuous.C @ np.linalg.solve(1j * omega * np.eye(2) - continuous.A, continuous.B) + continuous.D
+    lost = []
+    for amount in (0.0, 1.0):
+        at = sampled(line, line.nominal, np.zeros(0), np.array([0.0, 0.0, amount]))
+        found = at.C @ np.linalg.solve(turn * np.eye(2) - at.A, at.B @ force) + at.D @ force
+        lost.append(np.abs(found / seen[:, 0] - 1)[0])
+    assert lost[0] > 0.02
+    assert lost[1] < 0.002
+
+
+def test_smooth_forces_have_the_derivatives_by_parameters_and_by_how_smooth_they_are() -> None:
+    line, step, point = rig(), 1e-5, np.array([0.1, 0.2, 0.7])
+    line = Rig(**{**vars(line), "constants": (*LATE, Constant("curve", "delay", CURVED, 1.0))})
+    at = sampled(line, line.nominal, np.zeros(0), point)
+    for i in range(2):
+        change = np.eye(2)[i] * step * at.unit
+        up, down = (sampled(line, line.nominal + s * change, np.zeros(0), point) for s in (1, -1))
+        np.testing.assert_allclose(at.dC[i], (up.C - down.C) / (2 * step), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(at.dD[i], (up.D - down.D) / (2 * step), rtol=1e-6, atol=1e-9)
+    up, down = (sampled(line, line.nominal, np.zeros(0), point + s * np.eye(3)[2] * step) for s in (1, -1))
+    assert at.curve is not None
+    moved = np.hstack([up.C - down.C, up.D - down.D]) / (2 * step)
+    np.testing.assert_allclose(at.curve, moved, rtol=1e-6, atol=1e-9)
 
 
 def test_a_rig_whose_inputs_are_never_late_has_no_slopes() -> None:

@@ -3,10 +3,11 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from agent.cli.glance.covariates import surroundings
 from agent.cli.glance.files import Watched
 from agent.cli.glance.known import known_now, known_words
 from agent.errors import StoreError
-from agent.storage.read import queries, recent
+from agent.storage.read import baselines, covariates, queries, recent
 
 Row = Mapping[str, Any]
 _PRIORITIES = ("low", "medium", "high", "critical")
@@ -66,6 +67,9 @@ def _rig(database: Watched, name: str, tables: Mapping[str, Sequence[Row]], now_
         "known": known_words(parameters),
         "alarms": sorted(alarms, key=urgency, reverse=True),
         "sources": [{**row, "stale": (now_ns - row["t_ns"]) / 1e9 > _STALE_S} for row in tables["sources"]],
+        "covariates": surroundings(
+            covariates.newest(database.path, name), baselines.standing(database.path, name), now_ns
+        ),
     }
     return found | {"severity": _severity(found), "words": _words(found)}
 

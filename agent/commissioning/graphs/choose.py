@@ -6,7 +6,7 @@ docs/identify.md.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +29,7 @@ from agent.commissioning.identification.material import (
     pieces_of,
     read_records,
 )
-from agent.commissioning.identification.start import started
+from agent.commissioning.identification.start import started, started_in_response
 from agent.commissioning.identification.windows import pool, window_length, windowed
 from agent.commissioning.nominals import with_nominals, write_nominals
 from agent.commissioning.progress import Progress, on_terminal
@@ -49,6 +49,8 @@ MOST_ROUNDS = 8
 """Graphs that are fitted in turn."""
 LISTED = 8
 """Graphs beside the chosen one that are shown."""
+Begin = Callable[[RigConfig, Sequence[Recorded]], RigConfig]
+"""Returns a configuration with a start for its nominals."""
 
 
 def choose(
@@ -133,20 +135,23 @@ class _Search:
         return without(self.full, _absent(self.names, choice))
 
     def explained(self, recordings: Material) -> "_Explained":
-        """Return the graph found from the file's; if that explains too little, from all elements at once."""
-        first = self._found(self.rig, recordings)
+        """Return the graph found from the file's; if that explains too little, from all elements at once.
+
+        All of them are begun by frequency response: of so many the weak form makes values that lead nowhere.
+        """
+        first = self._found(self.rig, recordings, started)
         if first is not None and first.is_good:
             return first
-        second = self._found(self.full, recordings)
+        second = self._found(self.full, recordings, started_in_response)
         if second is not None and (first is None or second.is_good):
             return second
         if first is None:
             raise self.errors[0]
         return first
 
-    def _found(self, graph: RigConfig, recordings: Material) -> "_Explained | None":
+    def _found(self, graph: RigConfig, recordings: Material, begin: Begin) -> "_Explained | None":
         try:
-            selector, best = self._run(graph)
+            selector, best = self._run(graph, begin)
             chosen = self.graph(best)
             return _Explained(
                 selector, best, chosen, _identified(chosen, self.records, recordings, self.progress)
@@ -156,12 +161,12 @@ class _Search:
             self.errors.append(error)
             return None
 
-    def _run(self, graph: RigConfig) -> tuple[Selector, Choice]:
+    def _run(self, graph: RigConfig, begin: Begin) -> tuple[Selector, Choice]:
         """Return what chose last, and its choice."""
         seen = set[frozenset[str]]()
         while True:
             seen.add(frozenset(_elements(graph)))
-            selector = self._selector(graph)
+            selector = self._selector(graph, begin)
             best = selector.best()
             graph = self.graph(best)
             if not _elements(graph):
@@ -170,9 +175,9 @@ class _Search:
             if frozenset(_elements(graph)) in seen or len(seen) >= MOST_ROUNDS:
                 return selector, best
 
-    def _selector(self, graph: RigConfig) -> Selector:
+    def _selector(self, graph: RigConfig, begin: Begin) -> Selector:
         """Fit a graph, and return what weighs every element about that fit."""
-        begun = self._zeroed(started(with_blanks(graph), self.records))
+        begun = self._zeroed(begin(with_blanks(graph), self.records))
         said, config, _ = pool(begun, self.records, self.window, self.progress)
         here = dict(zip((p.name for p in rig_model(config).parameters), said.theta.tolist(), strict=True))
         self.progress("weighing every element that could be")

@@ -30,6 +30,19 @@ def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
     return starts(config, records)[0]
 
 
+def started_in_response(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
+    """Return the configuration with the best start by frequency response, whatever is measured.
+
+    It costs more than the weak form, but none of many elements runs away, nor is any negative. Without forces
+    or with dry friction there is no such response: by weak form then. Raises ModelError, RecordingError.
+    """
+    model = mechanics(config)
+    if not model.forces or model.structure.frictions:
+        return started(config, records)
+    theta = _from_response(config, model, pieces_of(records), noise_of_sensors(config, records))[0]
+    return _with_starts(config, model, theta)
+
+
 def starts(config: RigConfig, records: Sequence[Recorded]) -> list[RigConfig]:
     """Return the configuration with each start for nominals, the best first; others explain nearly as much.
 
@@ -40,10 +53,11 @@ def starts(config: RigConfig, records: Sequence[Recorded]) -> list[RigConfig]:
     pieces = pieces_of(records)
     _require_motion(model, pieces, sigma)
     begin = _from_response if hidden(model)[0] else _from_weak_form
-    return [
-        with_nominals(config, _positive(config, dict(zip(model.parameters, theta.tolist(), strict=True))))
-        for theta in begin(config, model, pieces, sigma)
-    ]
+    return [_with_starts(config, model, theta) for theta in begin(config, model, pieces, sigma)]
+
+
+def _with_starts(config: RigConfig, model: MassSpringDamper, theta: FloatArray) -> RigConfig:
+    return with_nominals(config, _positive(config, dict(zip(model.parameters, theta.tolist(), strict=True))))
 
 
 def _from_weak_form(

@@ -16,17 +16,21 @@ import numpy as np
 
 from agent.numerics.identification.first_noise import Progress, first_noise
 from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.noise import NoiseFit, Ridge
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.model.uncertain import Rig
-from agent.types import BoolArray, FloatArray, IntArray
+from agent.types import BoolArray, FloatArray
 
 FARTHEST = 10.0
 """Standard deviations of its data sheet that a constant may move: beyond, the graph does not fit."""
-MOST_STEPS, RESTS_SD = 8, 0.05
-"""Steps, and the step in standard deviations at which they end."""
+MOST_STEPS, RESTS_SD = 16, 0.05
+"""Points that are looked at, and the step in standard deviations at which they end."""
+WORSE, PATIENCE = 1.0, 3
+"""Log likelihood, over the scatter, by which a point may be worse (determinants vary by as much), and steps
+after which one of them has to be better."""
 HELD = 1e12
 """Prior precision, in relative units, of what stays at its point while likelihoods are compared."""
 
@@ -101,7 +105,6 @@ def pooled(
     """
     learner = Learner(rig, windows[0].length, len(sigma), floor)
     known = first_noise(learner, windows, sigma, spread, progress)
-    known = replace(known, eta=np.zeros(len(rig.constants)))
     return _descended(learner, windows, known, progress)
 
 
@@ -120,42 +123,52 @@ def another(
     learner = Learner(rig, windows[0].length, len(floor), floor)
     eta = np.zeros(len(rig.constants))
     there = _descended(learner, windows, replace(said.known, theta=theta, eta=eta), progress)
-    gain = _log_likelihood(learner, windows, there.known) - _log_likelihood(learner, windows, said.known)
-    return there, gain / max(said.scatter, there.scatter)
+    at_rest = [_Sum.of(learner, windows, known).log_likelihood for known in (there.known, said.known)]
+    return there, (at_rest[0] - at_rest[1]) / max(said.scatter, there.scatter)
 
 
 def _descended(learner: Learner, windows: Sequence[Window], known: Knowledge, progress: Progress) -> Pooled:
-    """Return what the sum of windows says where it comes to rest."""
-    rig = learner.rig
-    farthest = FARTHEST * np.array([constant.sheet for constant in rig.constants])
-    for step in range(MOST_STEPS):
-        progress(f"joining {len(windows)} windows, step {step + 1}")
-        found = _Sum.of(learner, windows, known)
-        unit = np.abs(found.unit)
-        moved = unit * found.step[: rig.q]
-        eta = np.clip(known.eta + found.step[rig.q :], -farthest, farthest)
-        theta = np.maximum(
-            known.theta + _bounded(moved, np.where(rig.nominal != 0, known.theta, 0.0)), rig.lower
-        )
-        known = replace(known, theta=theta, eta=eta)
-        restless = np.abs(moved) > RESTS_SD * unit * np.sqrt(np.diag(found.covariance)[: rig.q])
-        if not restless.any():
+    """Return what the sum of windows says where it comes to rest.
+
+    A full step may leave a curved valley and the next one come back to it further down, so steps that are
+    worse are followed for a while; where none of them is better, the first is halved (the watchdog technique,
+    Nocedal & Wright, Numerical Optimization, 2nd ed. 2006, section 15.6).
+    """
+    point = best = known
+    progress(f"joining {len(windows)} windows, step 1")
+    found = best_found = _Sum.of(learner, windows, known)
+    share, tried = 1.0, 0
+    for number in range(1, MOST_STEPS):
+        if not tried and not found.restless.any():
             break
-    return found.said(known, restless)
+        progress(f"joining {len(windows)} windows, step {number + 1}")
+        point = _moved(
+            learner.rig, point, (1.0 if tried else share) * found.step_at(point.theta, learner.rig)
+        )
+        found = _Sum.of(learner, windows, point)
+        tried += 1
+        if found.log_likelihood > best_found.log_likelihood - WORSE * best_found.scatter:
+            best, best_found, share, tried = point, found, 1.0, 0
+        elif tried == PATIENCE:
+            point, found, share, tried = best, best_found, 0.5 * share, 0
+    last = _moved(learner.rig, best, best_found.step_at(best.theta, learner.rig))
+    return best_found.said(last if not best_found.restless.any() else best)
 
 
-def _log_likelihood(learner: Learner, windows: Sequence[Window], known: Knowledge) -> float:
-    """Return the log posterior density of the point: initial states free, data sheets counted once."""
-    sheet = np.array([max(constant.sheet, 1e-6) for constant in learner.rig.constants])
-    total = -0.5 * float(np.sum((known.eta / sheet) ** 2))
-    for window in windows:
-        at = learner.at_point(window, known)
-        R = at.ridge.R.copy()
-        for held in (at.regression.layout.psi, at.regression.layout.xi):
-            R[held, held] = HELD * np.eye(held.stop - held.start)
-        fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, Ridge(R, np.zeros_like(R[0])))
-        total += fit.restricted_log_likelihood()
-    return total
+def _moved(rig: Rig, known: Knowledge, step: FloatArray) -> Knowledge:
+    """Return the point a step (q + c,) away, within what parameters and constants may be."""
+    farthest = FARTHEST * np.array([constant.sheet for constant in rig.constants])
+    eta = np.clip(known.eta + step[rig.q :], -farthest, farthest)
+    return replace(known, theta=np.maximum(known.theta + step[: rig.q], rig.lower), eta=eta)
+
+
+def _log_likelihood(learner: Learner, known: Knowledge, at: Linearised) -> float:
+    """Return the log likelihood of the point in a window linearised there: initial states are free."""
+    R = at.ridge.R.copy()
+    for held in (at.regression.layout.psi, at.regression.layout.xi):
+        R[held, held] = HELD * np.eye(held.stop - held.start)
+    ridge = Ridge(R, np.zeros_like(R[0]))
+    return NoiseFit(known.noise, at.cells, at.regression, learner.sources, ridge).restricted_log_likelihood()
 
 
 def costs_of(
@@ -170,15 +183,12 @@ def costs_of(
     return found.costs, found.scatter
 
 
-def _bounded(step: FloatArray, theta: FloatArray) -> FloatArray:
-    """Return a step that takes no parameter further than half its size; what has none (0) may go anywhere."""
-    size = np.where(theta != 0, np.abs(theta), np.inf)
-    return np.asarray(step / max(1.0, float(np.max(np.abs(step) / (0.5 * size)))))
-
-
 @dataclass(frozen=True)
 class _Sum:
-    """The windows' costs added at one point: step and covariance in units of parameters, then constants."""
+    """The windows' costs added at one point: step and covariance in units of parameters, then constants.
+
+    log_likelihood: of the point, data sheets counted once.
+    """
 
     unit: FloatArray
     step: FloatArray
@@ -186,6 +196,7 @@ class _Sum:
     given: FloatArray
     scatter: float
     costs: Costs
+    log_likelihood: float
 
     @classmethod
     def of(cls, learner: Learner, windows: Sequence[Window], known: Knowledge) -> "_Sum":
@@ -197,9 +208,10 @@ class _Sum:
         h[q:] = -known.eta * sheet**-2.0
         said = []
         costs = Costs.none(known.theta, H, h)
-        no_cuts: IntArray = np.zeros(0, dtype=np.int64)
+        log_likelihood = -0.5 * float(np.sum((known.eta / sheet) ** 2))
         for window in windows:
-            at = learner.lineariser.point(window, known, known.theta, no_cuts)
+            at = learner.at_point(window, known)
+            log_likelihood += _log_likelihood(learner, known, at)
             S, g, alone, V, Z = at.eliminated
             precision = inverse(V)
             J = np.hstack([np.eye(q), Z])
@@ -214,9 +226,27 @@ class _Sum:
         differing = [alone - Z @ step[q:] - step[:q] for alone, _, Z in said]
         total = sum(float(d @ W @ d) for d, (_, W, _) in zip(differing, said, strict=True))
         scatter = max(1.0, total / (q * max(len(said) - 1, 1)))
-        return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter, costs)
+        return cls(at.unit, step, covariance, inverse(H[:q, :q]), scatter, costs, log_likelihood)
 
-    def said(self, known: Knowledge, restless: BoolArray) -> Pooled:
+    @property
+    def restless(self) -> BoolArray:
+        """(q,) parameters that the step moves by much."""
+        q = len(self.unit)
+        return np.asarray(np.abs(self.step[:q]) > RESTS_SD * np.sqrt(np.diag(self.covariance)[:q]))
+
+    def step_at(self, theta: FloatArray, rig: Rig) -> FloatArray:
+        """Return the step (q + c,) from theta (q,), in units of the parameters themselves.
+
+        It takes none further than half its size; what has none (0) may go anywhere. Constants go as short a
+        way: a parameter shortened beside a mass that is not would be neither the old motion nor the new.
+        """
+        moved = np.abs(self.unit) * self.step[: rig.q]
+        size = np.where((rig.nominal != 0) & (theta != 0), np.abs(theta), np.inf)
+        short = max(1.0, float(np.max(np.abs(moved) / (0.5 * size))))
+        return np.concatenate([moved, self.step[rig.q :]]) / short
+
+    def said(self, known: Knowledge) -> Pooled:
+        """Return what the windows say of a point that is at most a step of rest away."""
         q = len(self.unit)
         own = self.scatter * self.given
         whole = self.covariance[:q, :q] + (self.scatter - 1.0) * self.given
@@ -224,5 +254,5 @@ class _Sum:
         return Pooled(
             known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)),
             whole / np.outer(sd, sd),
-            known.eta, self.scatter, restless, known,
+            known.eta, self.scatter, self.restless, known,
         )  # fmt: skip

@@ -76,9 +76,20 @@ def measured(
         np.maximum(_smoothed(left), white)[:, :, None] * np.abs(np.einsum("fii->fi", inverse))[:, None]
     )
     relative = error / np.maximum(np.abs(H), 1e-300)
-    weight = np.where(relative < CERTAIN, 1.0 / np.hypot(relative, ROUGH), 0.0)
+    weight = np.where(_certain(H, error, relative), 1.0 / np.hypot(relative, ROUGH), 0.0)
     weight[:2] = 0.0
     return _thinned(Responses(modulation.omega, H, weight))
+
+
+def _certain(H: ComplexArray, error: FloatArray, relative: FloatArray) -> BoolArray:
+    """Return which responses (F, p, m) say something, alone and among their neighbours.
+
+    Of bins that are all noise 2 % pass the first test by chance, and are orders of magnitude off.
+    """
+    around = [
+        _smoothed(power.reshape(len(power), -1)).reshape(power.shape) for power in (np.abs(H) ** 2, error**2)
+    ]
+    return np.asarray((relative < CERTAIN) & (around[1] < CERTAIN**2 * around[0]))
 
 
 def _smoothed(power: FloatArray) -> FloatArray:

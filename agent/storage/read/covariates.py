@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.storage.covariates.rows import means_of
+from agent.storage.covariates.rows import means_of, newest_means
 from agent.storage.read.selection import reading
-from agent.types import FloatArray, IntArray
+from agent.types import CovariateMean, FloatArray, IntArray
 
 _MINUTE_NS = 60_000_000_000
 _EARLIEST, _LATEST = -(2**62), 2**62
+_DAY_NS = 86_400_000_000_000
 
 
 class Means:
@@ -19,6 +20,13 @@ class Means:
         self.unit = unit
         self.number: IntArray = np.array(sorted(table), dtype=np.int64)
         self.value: FloatArray = np.array([table[number] for number in self.number.tolist()])
+
+
+def newest(db: Path | str, rig: str) -> list[CovariateMean]:
+    """Return the newest mean of each covariate that was read in the newest day of any. Raises StoreError."""
+    with reading(db) as connection:
+        found = sorted(newest_means(connection, rig, _DAY_NS), key=lambda mean: mean.t_ns)
+    return list({mean.name: mean for mean in found}.values())
 
 
 def means(db: Path | str, rig: str, first_ns: int = _EARLIEST, last_ns: int = _LATEST) -> dict[str, Means]:

@@ -53,6 +53,7 @@ async function showRig() {
   if (!rig) return;
   byId("rig-title").textContent = `Rig ${rig.rig}`;
   showParameters(rig);
+  showCovariates(rig);
   showSources(rig);
   const states = Object.fromEntries(rig.parameters.map((p) => [p.parameter, p]));
   const model = await modelOf(rig);
@@ -112,6 +113,17 @@ function item(rig, p) {
     make("p", { class: "quiet" }, "reference ", number(p.reference), p.baseline_id === null ? " (nominal)" : ` (baseline ${p.baseline_id})`),
     make("p", { class: "quiet known" }, p.known.words),
   );
+}
+
+/** Show what surrounds the rig: the newest reading of each covariate, and which references follow it. */
+function showCovariates(rig) {
+  const items = rig.covariates.map((c) => make(
+    "li", { class: c.stale ? "bad" : "good", "data-key": c.covariate },
+    make("p", {}, `${c.covariate}: `, make("span", { class: "word" }, c.value === null ? "not read" : `${number(c.value, 4)} ${c.unit}`),
+      c.age_s === null ? "" : `, ${age(c.age_s)} ago`, c.stale ? ", missing" : ""),
+    make("p", { class: "quiet" }, c.words),
+  ));
+  replaceItems(byId("covariate-list"), items.length ? items : [make("li", {}, "no covariate is read")]);
 }
 
 function showSources(rig) {

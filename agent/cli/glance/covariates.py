@@ -1,0 +1,67 @@
+"""What surrounds a rig: the newest reading of each covariate, and which references follow it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from agent.blocks.covariates.compensation import dependences
+from agent.numerics.reference.covariates.dependence import Dependence
+from agent.text import ahead, behind, number
+from agent.types import Baseline, CovariateMean
+
+LATE_S = 120.0
+"""A mean is of a minute that is over, and is committed some time later."""
+
+
+def surroundings(
+    means: Iterable[CovariateMean], standing: Sequence[Baseline], now_ns: int
+) -> list[dict[str, Any]]:
+    """Return {"covariate", "unit", "value", "t_ns", "age_s", "stale", "compensates", "words"} of each.
+
+    means: the newest of each covariate; t_ns: the end of its period. A covariate that a baseline follows and
+    that has no mean is there as well, with None for what is not known.
+    """
+    newest = {mean.name: mean for mean in means}
+    following: dict[str, list[tuple[Baseline, Dependence]]] = {name: [] for name in newest}
+    for baseline in standing:
+        for one in dependences(baseline):
+            following.setdefault(one.name, []).append((baseline, one))
+    return [_row(name, newest.get(name), following[name], now_ns) for name in sorted(following)]
+
+
+def _row(
+    name: str, mean: CovariateMean | None, following: Sequence[tuple[Baseline, Dependence]], now_ns: int
+) -> dict[str, Any]:
+    t_ns = None if mean is None else mean.t_ns + mean.span_s * 1_000_000_000
+    age_s = None if t_ns is None else max(now_ns - t_ns, 0) / 1e9
+    holds_s = min((one.hold_s for _, one in following), default=None)
+    compensates = [_compensated(baseline, one) for baseline, one in following]
+    return {
+        "covariate": name,
+        "unit": mean.unit if mean is not None else following[0][1].unit,
+        "value": None if mean is None else mean.value,
+        "t_ns": t_ns,
+        "age_s": age_s,
+        "stale": holds_s is not None and (age_s is None or age_s > holds_s + LATE_S),
+        "compensates": compensates,
+        "words": _words(compensates),
+    }
+
+
+def _compensated(baseline: Baseline, one: Dependence) -> dict[str, Any]:
+    share = 100.0 * one.coefficient / abs(baseline.reference) if baseline.reference else None
+    change = (
+        f"{number(one.coefficient, 2)}{behind(baseline.unit)}" if share is None else f"{number(share, 2)} %"
+    )
+    late = "at once" if one.shape == "none" else f"{ahead(one.lag_s)} behind"
+    return {
+        "parameter": baseline.parameter, "baseline_id": baseline.baseline_id, "coefficient": one.coefficient,
+        "percent": share, "shape": one.shape, "lag_s": one.lag_s,
+        "words": f"{baseline.parameter} by {change} a {one.unit}, {late}",
+    }  # fmt: skip
+
+
+def _words(compensates: Sequence[Mapping[str, Any]]) -> str:
+    """Say which references follow a covariate."""
+    if not compensates:
+        return "no reference follows it"
+    return "taken out of " + "; ".join(row["words"] for row in compensates)

@@ -1,0 +1,44 @@
+"""What the page and the terminal say of covariates: the newest reading, its age, and what follows it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agent.cli.glance.files import several
+from agent.cli.glance.state import overview
+from agent.commissioning.baseline.learn import Stretch, learn
+from agent.storage.write.store import Store
+from agent.types import CovariateMean
+from tests.storage.rows import START, run_info
+from tests.unit.commissioning.test_covariates import DAYS, GRAPH, MINUTE, RIG, stored, swings
+
+
+def test_overview_says_what_surrounds_a_rig_and_which_references_follow_it(tmp_path: Path) -> None:
+    db = stored(tmp_path / "rig.db", {"hall": swings})
+    end = START + DAYS * 1440 * MINUTE
+    (hall,) = overview(several([db], []), end)["rigs"][0]["covariates"]
+    assert (hall["covariate"], hall["unit"], hall["stale"]) == ("hall", "degC", False)
+    assert hall["value"] == pytest.approx(float(swings(DAYS * 1440.0 - 5)), abs=0.01)
+    assert hall["age_s"] == 240.0
+    assert hall["words"] == "no reference follows it"
+    learn(db, None, Stretch())
+    (hall,) = overview(several([db], []), end)["rigs"][0]["covariates"]
+    (k1,) = hall["compensates"]
+    assert k1["parameter"] == "k1"
+    assert k1["percent"] == pytest.approx(-0.3, rel=0.1)
+    assert hall["words"].startswith("taken out of k1 by -0.")
+    assert not hall["stale"]
+    (later,) = overview(several([db], []), end + 24 * 60 * MINUTE)["rigs"][0]["covariates"]
+    assert later["stale"]
+
+
+def test_covariate_of_a_baseline_that_is_not_read_any_more_is_named(tmp_path: Path) -> None:
+    db = stored(tmp_path / "rig.db", {"hall": swings})
+    learn(db, None, Stretch())
+    late = CovariateMean(RIG, "roof", "degC", START + 3 * DAYS * 1440 * MINUTE, 5.0, 1)
+    with Store.open(db) as store:
+        store.write(store.begin_run(replace(run_info(rig=RIG), graph=GRAPH)), [late])
+    hall, roof = overview(several([db], []), late.t_ns + 2 * MINUTE)["rigs"][0]["covariates"]
+    assert (hall["value"], hall["age_s"], hall["unit"], hall["stale"]) == (None, None, "degC", True)
+    assert (roof["value"], roof["stale"], roof["compensates"]) == (5.0, False, [])

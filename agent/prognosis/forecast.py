@@ -29,8 +29,6 @@ NEWEST = 3
 """Newest means that say that a limit is crossed before any law is sought."""
 SURE = 2.0
 """Standard deviations of these by which they must lie beyond it; else the laws say how probable that is."""
-USUAL_BEND = 1.4
-"""κ of a usual part: its rate at the limit is four times that at the start."""
 SEED = 15
 LEVELS = 250
 """Draws of the newest level at which like machines are looked at."""
@@ -91,7 +89,7 @@ def forecast(
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
     found = posterior(readings, scale, prior, rng, effort)
-    passages = first_passages(found, scale, newest, prior, rng, effort) * thin.span
+    passages = first_passages(found, scale, newest, prior.later, rng, effort) * thin.span
     family = _weights(found)
     if like is not None and scale.relative:
         now = newest_levels(found, scale, newest, LEVELS, rng)
@@ -193,8 +191,7 @@ def plain_prior(readings: Readings, left: float) -> Prior:
     """Return the prior without like machines: sizes from the history's own scatter, shapes as machines have.
 
     left: share of the way that is not gone yet. However short it is, the rate at the limit may differ as much
-    from what the law says: parts fail faster than they wore. How much it may differs with the law: one that
-    hardly bends has shown no mechanism that feeds itself, and goes on as it did.
+    from what the law says: parts fail faster than they wore.
     """
     second = np.diff(readings.z, 2)
     scatter = max(
@@ -204,15 +201,15 @@ def plain_prior(readings: Readings, left: float) -> Prior:
         "walk": Student(float(np.log(0.3 * scatter * np.sqrt(len(readings.z)))), 1.5),
         "wander": Student(float(np.log(0.05)), 0.9, 30.0),
         "scatter": Student(float(np.log(0.5 * scatter)), 1.2),
-        "bend": Student(USUAL_BEND, 1.0, 5.0),
+        "bend": Student(1.4, 1.0, 5.0),
         "onset": Student(0.0, 1.5),
         "run_in": Student(-1.0, 1.0),
         "saturation": Student(0.0, 1.0),
         "ramp": Student(1.0, 1.2),
         "growth": Student(0.7, 0.7),
     }
-    members = dict(zip(MEMBERS, (0.28, 0.28, 0.05, 0.08, 0.11, 0.06, 0.14), strict=True))
-    return Prior(of, members, later=Student(0.5 / left, 0.9 / left, 5.0), in_full=USUAL_BEND)
+    members = dict(zip(MEMBERS, (0.14, 0.3, 0.06, 0.1, 0.14, 0.1, 0.16), strict=True))
+    return Prior(of, members, later=Student(0.8 / left, 1.4 / left))
 
 
 def learn_from(histories: Sequence[History], limit: float | None = None) -> Learnt:

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from agent.prognosis.family import STEEPEST, Scale, bent, onward
 from agent.prognosis.posterior import FULL, Effort, Particles
-from agent.prognosis.prior import Prior
+from agent.prognosis.prior import Student
 from agent.types import FloatArray
 
 FASTER = frozenset(("bend", "growth"))
 """Shapes of laws that get faster, whose rate at the limit may differ from what they say."""
-SLOWEST = 1e-9
-"""Rate in sizes a span, below which one counts as no slower: its logarithm exists."""
 FARTHEST = 20.0
 """How many spans of the history ahead paths are followed."""
 
@@ -53,13 +51,13 @@ class _Paths:
 
 
 def first_passages(
-    found: list[Particles], scale: Scale, newest: float, prior: Prior, rng: np.random.Generator,
+    found: list[Particles], scale: Scale, newest: float, later: Student, rng: np.random.Generator,
     effort: Effort = FULL,
 ) -> FloatArray:  # fmt: skip
     """Return (effort.paths,) times to the first passage, in spans of the history; inf where a path has none.
 
     Each path starts from a particle, drawn by its weight, with level and rate drawn from its Gaussian.
-    newest: scaled level up to which the history shows the law; prior: says how much κ differs beyond.
+    newest: scaled level up to which the history shows the law; later: how much κ differs beyond.
     """
     evidence = np.array([p.log_evidence for p in found])
     share = np.exp(evidence - evidence.max())
@@ -67,39 +65,33 @@ def first_passages(
     counts = np.floor(share * effort.paths + 1e-9).astype(int)
     counts[int(np.argmax(share))] += effort.paths - counts.sum()
     drawn = zip(found, counts.tolist(), strict=True)
-    paths = [_paths(member, scale, newest, prior, n, rng) for member, n in drawn if n]
+    paths = [_paths(member, scale, newest, later, n, rng) for member, n in drawn if n]
     return _simulated(_Paths.joined(paths), effort.steps, rng)
 
 
 def _paths(
-    found: Particles, scale: Scale, newest: float, prior: Prior, n: int, rng: np.random.Generator
+    found: Particles, scale: Scale, newest: float, later: Student, n: int, rng: np.random.Generator
 ) -> _Paths:
     """Return n paths of one law at the newest row."""
     index = _chosen(found, n, rng)
     s = found.state
     bend = found.column("bend", 0.0)[index]
+    fixed = FASTER.isdisjoint(found.names)
+    beyond = bend if fixed else bend + later.draw(rng, n)
+    limit = bent(np.array(newest), bend, scale)[0] + onward(newest, bend, beyond, scale)
     normal = rng.standard_normal((2, n))
     root = np.sqrt(np.maximum(s.bb[index], 0.0))
     b = s.b[index] + root * normal[0]
     lean = np.divide(s.ub[index], s.bb[index], out=np.zeros(n), where=s.bb[index] > 0)
     rest = np.maximum(s.uu[index] - lean * s.ub[index], 0.0)
     u = s.u[index] + lean * (b - s.b[index]) + np.sqrt(rest) * normal[1]
-    growth = np.exp(found.column("growth", -np.inf)[index])
-    fixed = FASTER.isdisjoint(found.names)
-    beyond = bend if fixed else bend + prior.differs(np.abs(bend) + _faster(growth, b, scale), rng)
-    limit = bent(np.array(newest), bend, scale)[0] + onward(newest, bend, beyond, scale)
     sign = np.sign(scale.limit)
     return _Paths(
         sign * (limit - u), sign * b,
         np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index]),
         np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]),
-        growth,
+        np.exp(found.column("growth", -np.inf)[index]),
     )  # fmt: skip
-
-
-def _faster(growth: FloatArray, rate: FloatArray, scale: Scale) -> FloatArray:
-    """Return ln(rate at the limit / rate at the start), κ, of growths g and rates at the start (N,)."""
-    return np.asarray(np.log1p(growth * abs(scale.limit) / np.maximum(np.abs(rate), SLOWEST)))
 
 
 def _chosen(found: Particles, n: int, rng: np.random.Generator) -> NDArray[np.intp]:

@@ -40,17 +40,10 @@ class Prior:
     members: dict[str, float] = field(default_factory=dict)
     later: Student = Student(0.0, 1e-3)
     """How much κ differs beyond what a history has shown: no law holds for ever."""
-    in_full: float = 0.0
-    """|κ| from which on it differs by so much, and by the same share less below; 0 where at any κ."""
 
     def draw(self, rng: np.random.Generator, names: tuple[str, ...], n: int) -> FloatArray:
         """Return (n, d) draws."""
         return np.column_stack([self.of[name].draw(rng, n) for name in names])
-
-    def differs(self, kappa: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return (n,) draws of how much κ differs beyond what was seen, for laws of |κ| (n,)."""
-        share = np.minimum(kappa / self.in_full, 1.0) if self.in_full else 1.0
-        return np.asarray(share * self.later.draw(rng, len(kappa)))
 
     def log_density(self, names: tuple[str, ...], theta: FloatArray) -> FloatArray:
         """Return (n,) log densities of (n, d) parameters."""

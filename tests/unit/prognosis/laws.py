@@ -7,8 +7,8 @@ import numpy as np
 from agent.prognosis.history import History
 
 WEIGHTS = {
-    "constant": 0.28, "rate law": 0.28, "ramp": 0.05, "run-in": 0.08, "onset": 0.11, "saturation": 0.06,
-    "growth": 0.14,
+    "constant": 0.14, "rate law": 0.3, "ramp": 0.06, "run-in": 0.1, "onset": 0.14, "saturation": 0.1,
+    "growth": 0.16,
 }  # fmt: skip
 BENT = {"rate law", "run-in", "onset"}
 MEANS = 100
@@ -90,6 +90,8 @@ def drawn(rng: np.random.Generator, name: str) -> tuple[Law, float]:
     shapes: dict[str, float] = {}
     if name in BENT:
         shapes["bend"] = student(rng, 1.4, 1.0, 5.0)
+    if name in BENT | {"growth"}:
+        shapes["later"] = student(rng, 0.8, 1.4)
     if name == "ramp":
         shapes["ramp"] = float(np.exp(student(rng, 1.0, 1.2)))
     if name == "onset":
@@ -107,14 +109,7 @@ def drawn(rng: np.random.Generator, name: str) -> tuple[Law, float]:
     )  # fmt: skip
     way = STEP * sum(law.of_time(t) for t in np.arange(-1.0, 0.0, STEP))
     rate = -gone * float(np.exp(0.4 * rng.standard_normal())) / max(way, 0.05)
-    law = Law(**{**vars(law), "rate": rate})
-    return Law(**{**vars(law), "later": later(rng, law)}), gone
-
-
-def later(rng: np.random.Generator, law: Law) -> float:
-    """How much κ differs after the newest row: in full of a part that bends as usual, none of a line."""
-    kappa = abs(law.bend) + float(np.log1p(law.growth * abs(law.limit / law.rate)))
-    return min(kappa / 1.4, 1.0) * student(rng, 0.5, 0.9, 5.0)
+    return Law(**{**vars(law), "rate": rate}), gone
 
 
 def lived(rng: np.random.Generator, law: Law, gone: float) -> np.ndarray | None:

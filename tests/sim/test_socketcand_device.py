@@ -217,7 +217,9 @@ def test_sim_can_source_that_cannot_be_played_is_refused(
 
 def test_virtual_bus_is_played_to_readers_of_the_same_process(tmp_path: Path) -> None:
     (tmp_path / "rig.dbc").write_text(DBC, encoding="utf-8")
-    text = (MODEL + CLASSIC).format(port=0, rate=1000.0).replace("socketcand", "virtual").replace("port = 0", "")
+    text = (
+        (MODEL + CLASSIC).format(port=0, rate=1000.0).replace("socketcand", "virtual").replace("port = 0", "")
+    )
     (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
     player = Player(read_rig(tmp_path / "rig.toml"), load_scenario("steady"), duration_s=0.1)
     player.start()
@@ -233,7 +235,9 @@ def test_virtual_bus_is_played_to_readers_of_the_same_process(tmp_path: Path) ->
 
 def test_virtual_bus_of_the_command_is_ready_and_says_that_nobody_else_sees_it(tmp_path: Path) -> None:
     (tmp_path / "rig.dbc").write_text(DBC, encoding="utf-8")
-    text = (MODEL + CLASSIC).format(port=0, rate=1000.0).replace("socketcand", "virtual").replace("port = 0", "")
+    text = (
+        (MODEL + CLASSIC).format(port=0, rate=1000.0).replace("socketcand", "virtual").replace("port = 0", "")
+    )
     with simulator(tmp_path, text) as sim:
         assert sim.stop() == 0
     assert "a virtual bus does not leave its process" in sim.err

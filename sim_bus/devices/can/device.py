@@ -1,4 +1,4 @@
-"""Simulated CAN devices: on a socketcand daemon of our own, behind an slcan adapter, on a vcan or virtual bus."""
+"""Simulated CAN devices: on a socketcand daemon, behind an slcan adapter, on a vcan or a virtual bus."""
 
 import threading
 from collections.abc import Mapping, Sequence

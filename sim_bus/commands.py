@@ -108,6 +108,11 @@ def _make(
     from sim_bus.rig.scenario import load_scenario
 
     rig = read_rig(config)
+    if any(source.driver == "can" and source.keys.get("interface") == "virtual" for source in rig.source):
+        sys.stderr.write(
+            "deltak: note: a virtual bus does not leave its process, and no agent hears it; "
+            "take socketcand or a vcan interface to play to one\n"
+        )
     played = load_scenario(scenario, known=lambda: fitting(rig)).with_faults(faults, duration)
     must_fit(rig, played, duration)
     return Player(rig, played, duration_s=duration, fast=fast, truth=truth)

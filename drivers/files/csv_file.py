@@ -1,5 +1,6 @@
 """A recording as a table of text: finds delimiter and header, then reads whole lines in large pieces."""
 
+import codecs
 import csv
 from collections.abc import Iterator
 from typing import BinaryIO
@@ -51,6 +52,7 @@ class CsvFile(RecordedFile):
         try:
             text = line.decode("utf-8-sig").rstrip("\r\n")
         except UnicodeDecodeError:
+            self._refuse_encoding(line)
             text = "\0"
         if "\r" in text and _is_text(text.replace("\r", "")):
             what = "has lines that end in a carriage return alone"
@@ -66,6 +68,15 @@ class CsvFile(RecordedFile):
         if not text.strip():
             raise DriverConfigError(f"{self._wanted.path}:1: is blank; the first line must name the columns")
         return text
+
+    def _refuse_encoding(self, line: bytes) -> None:
+        """Raise DriverConfigError for text of another encoding, as spreadsheets write it."""
+        is_wide = line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        has_columns = any(delimiter.encode() in line for delimiter in _DELIMITERS)
+        if is_wide or (has_columns and _is_text(line.decode("latin-1").rstrip("\r\n"))):
+            wrong = f"{self._wanted.path}:1: is text, but not of UTF-8"
+            kind = "UTF-16" if is_wide else "WINDOWS-1252"
+            raise DriverConfigError(f"{wrong}; convert it: iconv -f {kind} -t UTF-8 OLD.csv > NEW.csv")
 
     def _check_names(self) -> None:
         if all(_is_number(name) for name in self._names):

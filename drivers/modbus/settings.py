@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, Strict, model_validator
 
 from drivers.fields import FieldSpec, Order, unique_names
 from drivers.modbus.frames import FIFO_REGISTERS
 from drivers.port import DriverSettings
 
 RING_S, POLL_S = 0.1, 0.02
+LEAST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 86400.0
 """Default periods: a ring remembers what it is not asked for, and many samples cost hardly more than one."""
 BYTE_ORDERS: Mapping[str, tuple[Order, Order]] = {
     "ABCD": ("big", "big"),
@@ -45,8 +46,8 @@ class ModbusSettings(DriverSettings):
     """Keys of a Modbus source (addresses are zero-based, as on the wire)."""
 
     transport: Literal["tcp", "rtu"] = "tcp"
-    host: str = "127.0.0.1"
-    port: int | str = 502
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, Strict()] | str = 502
     baudrate: int = Field(default=19200, gt=0)
     parity: Literal["N", "E", "O", "M", "S"] = "N"
     stopbits: int = Field(default=1, ge=1, le=2)
@@ -60,7 +61,9 @@ class ModbusSettings(DriverSettings):
     ring: RingKeys | None = None
     address: Address | None = None
     period_s: float = Field(
-        default_factory=lambda keys: RING_S if keys.get("mode") == "ring" else POLL_S, gt=0
+        default_factory=lambda keys: RING_S if keys.get("mode") == "ring" else POLL_S,
+        ge=LEAST_PERIOD_S,
+        le=LONGEST_PERIOD_S,
     )
     gap: int = Field(default=8, ge=0, le=120)
     share: bool = True

@@ -231,6 +231,18 @@ def test_check_refuses_what_this_version_cannot_use_each_with_its_reason(tmp_pat
     assert check.exit_code(check.check([db])) == 3
 
 
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_check_says_every_fault_on_stderr_beside_a_document_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]
+) -> None:
+    foreign = tmp_path / "notes.db"
+    foreign.write_text("shopping: milk, bread" * 99)
+    assert guarded(app, ["upgrade", "--check", str(foreign), *options]) == 3
+    said = capsys.readouterr()
+    assert "this file is not a deltak database" in said.err
+    assert not options or json.loads(said.out)["ok"] is False
+
+
 def test_check_says_when_there_is_no_room(monkeypatch: pytest.MonkeyPatch, db: Path) -> None:
     monkeypatch.setattr(check, "_free", lambda _: 1000)
     (error,) = check.check([db])["errors"]

@@ -140,10 +140,11 @@ def test_demo_random_schedule_passes(seed: int, tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize(
-    ("options", "code"), [(["--scenario", "step"], 2), (["--db", "no/such/folder/demo.db"], 3)]
+    ("options", "code", "words"),
+    [(["--scenario", "step"], 2, "--scenario"), (["--db", "no/such/folder/demo.db"], 3, "no/such/folder")],
 )
 def test_demo_that_cannot_be_played_exits_as_its_process_did_and_leaves_nothing(
-    options: list[str], code: int, tmp_path: Path
+    options: list[str], code: int, words: str, tmp_path: Path
 ) -> None:
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     done = subprocess.run(
@@ -151,7 +152,9 @@ def test_demo_that_cannot_be_played_exits_as_its_process_did_and_leaves_nothing(
         capture_output=True, text=True, timeout=LIMIT_S, check=False,
     )  # fmt: skip
     assert done.returncode == code, done.stderr
-    (fault,) = json.loads(done.stdout)["errors"]
+    cause, *_, fault = json.loads(done.stdout)["errors"]
+    assert words in f"{cause['path']} {cause['message']}"
+    assert done.stderr.count(cause["message"]) == 1
     assert fault["message"].endswith(f"ended early (exit code {code})")
     assert not list(tmp_path.iterdir())
 

@@ -14,6 +14,9 @@ import cantools
 import numpy as np
 import pytest
 
+from sim_bus.player import Player
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
 from tests.sim.rigs import LIMIT_S, MODEL, Simulator, free_port, refused, simulator
 from tests.unit.sim_bus.devices.test_can_packing import DBC
 
@@ -198,7 +201,6 @@ def test_daemon_unknown_bus_is_refused(tmp_path: Path) -> None:
             ('interface = "socketcand"', 'interface = "socketcan"'),
             "source[0].channel: this looks like a real bus",
         ),
-        (('interface = "socketcand"', 'interface = "virtual"'), "does not leave its process"),
         (('dbc = "rig.dbc"', 'dbc = "none.dbc"'), "source[0].dbc"),
         (("RIG_SAMPLE.X1", "RIG_SAMPLE.X9"), "RIG_SAMPLE.X9"),
     ],
@@ -211,6 +213,34 @@ def test_sim_can_source_that_cannot_be_played_is_refused(
     assert sim.code == 2
     assert words in sim.err
     assert "Traceback" not in sim.err
+
+
+def test_virtual_bus_is_played_to_readers_of_the_same_process(tmp_path: Path) -> None:
+    (tmp_path / "rig.dbc").write_text(DBC, encoding="utf-8")
+    text = (
+        (MODEL + CLASSIC).format(port=0, rate=1000.0).replace("socketcand", "virtual").replace("port = 0", "")
+    )
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    player = Player(read_rig(tmp_path / "rig.toml"), load_scenario("steady"), duration_s=0.1)
+    player.start()
+    try:
+        with can.Bus("can0", "virtual") as reader:
+            frames = [reader.recv(LIMIT_S) for _ in range(50)]
+    finally:
+        player.finish()
+    assert {frame.arbitration_id for frame in frames if frame} == {0x100}
+    message = cantools.database.load_string(DBC, "dbc").get_message_by_name("RIG_SAMPLE")
+    assert [message.decode(frame.data)["Counter"] for frame in frames if frame] == list(range(50))
+
+
+def test_virtual_bus_of_the_command_is_ready_and_says_that_nobody_else_sees_it(tmp_path: Path) -> None:
+    (tmp_path / "rig.dbc").write_text(DBC, encoding="utf-8")
+    text = (
+        (MODEL + CLASSIC).format(port=0, rate=1000.0).replace("socketcand", "virtual").replace("port = 0", "")
+    )
+    with simulator(tmp_path, text) as sim:
+        assert sim.stop() == 0
+    assert "a virtual bus does not leave its process" in sim.err
 
 
 def test_sim_vcan_without_can_in_the_kernel_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

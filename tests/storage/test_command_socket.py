@@ -10,10 +10,13 @@ from typing import Any
 
 import pytest
 
+from agent.cli.gateway.agent_of import database_of
+from agent.config import load
 from agent.errors import StoreError
 from agent.storage.database.files import beside
 from agent.storage.write import command_socket
 from agent.storage.write.command_socket import CommandServer, ask
+from tests.peers import ROOT
 
 RIGS = [{"rig": f"press-{number}", "sources": ["x" * 300]} for number in range(2000)]
 """More than any agent has."""
@@ -40,6 +43,22 @@ def server(tmp_path: Path) -> Iterator[Path]:
 def test_ask_returns_what_the_agent_answers(server: Path) -> None:
     assert ask(server, "twice", number=21) == {"answer": 42}
     assert ask(server, "ping")["pid"] > 0
+
+
+@pytest.mark.parametrize("configured", [True, False])
+def test_agent_that_was_started_with_another_database_is_found_by_its_configuration(
+    tmp_path: Path, configured: bool
+) -> None:
+    config = tmp_path / "rig.toml"
+    config.write_bytes((ROOT / "deploy/examples/modbus.toml").read_bytes())
+    listed = [str(config)] if configured else [str(tmp_path / "other.toml")]
+    agent = CommandServer(tmp_path / "elsewhere.db", {"status": lambda _: {"configs": listed}})
+    agent.start()
+    try:
+        own = load(config).store.path
+        assert database_of(config) == (tmp_path / "elsewhere.db" if configured else own)
+    finally:
+        agent.stop()
 
 
 def test_status_of_hundreds_of_rigs_arrives_whole(server: Path) -> None:

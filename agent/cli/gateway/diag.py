@@ -19,7 +19,7 @@ from agent.cli.gateway.newest_samples import newest_samples
 from agent.cli.gateway.redaction import Redaction
 from agent.cli.terminal.output import json_ready, show
 from agent.config import files_of
-from agent.errors import AgentError, UsageError
+from agent.errors import AgentError, StoreError, UsageError
 from agent.storage.database.connect import connect_reader
 from agent.storage.database.files import opened
 from agent.text import counted
@@ -39,9 +39,12 @@ _SCHEMA = "SELECT type, name, sql FROM sqlite_master ORDER BY type, name"
 def diag(named: Path | None, to: Path) -> Document:
     """Write the bundle of an agent, or of a database and configuration whose agent does not run.
 
-    Raises UsageError where the bundle cannot be written; whatever else is not there is said in the bundle.
+    Raises StoreError for a path where nothing is, UsageError where the bundle cannot be written; whatever
+    else is not there is said in the bundle.
     """
     db = database_of(named)
+    if named == db and not os.path.lexists(db):
+        raise StoreError.at(str(db), "there is no such database", "give the path that the agent writes to")
     status, why = _answer(db, "status")
     configs = _configs(named, status)
     redaction = Redaction(configs)

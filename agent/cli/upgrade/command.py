@@ -33,7 +33,7 @@ def checked(named: Sequence[Path], *, asked: bool, as_json: bool) -> int:
         print_json(document)
     else:
         check.print_check(document)
-        print_faults(Fault(**error) for error in document["errors"])
+    print_faults(Fault(**error) for error in document["errors"])
     return check.exit_code(document)
 
 

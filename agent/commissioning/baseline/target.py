@@ -65,6 +65,7 @@ def one_rig(db: Path, rig: str | None) -> str:
     meant = known if rig is None else [name for name in known if name == rig]
     if len(meant) == 1:
         return meant[0]
-    listed = ", ".join(known) or "none yet"
+    if not known:
+        raise UsageError.at("--rig", "the database has no rows yet", "let the agent run first")
     what = "the database has several rigs" if meant else f'the database has no rig "{rig or ""}"'
-    raise UsageError.at("--rig", what, f"rigs are {listed}")
+    raise UsageError.at("--rig", what, f"rigs are {', '.join(known)}")

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
 from agent.config import RigConfig, load
-from agent.errors import AgentError, BusError, StoreError, UsageError
+from agent.errors import AgentError, BusError, Fault, StoreError, UsageError
 from agent.evaluation.demo.bus import COARSE, FINE, RIGS, TWO_MASSES, write_config
 from agent.evaluation.demo.truth import Truth, alarm_delays, read_truth, segments
 from agent.storage.read import queries
@@ -80,7 +80,7 @@ def _deltak(*args: str) -> list[str]:
 
 
 def _sim(config: Path, scenario: str, truth: Path, *, fast: bool) -> list[str]:
-    command = _deltak("sim", str(config), "--scenario", scenario, "--truth", str(truth))
+    command = _deltak("sim", str(config), "--scenario", scenario, "--truth", str(truth), "--json")
     return [*command, "--fast"] if fast else command
 
 
@@ -114,13 +114,30 @@ def _put_away(process: subprocess.Popen[str]) -> None:
 def _await_line(process: subprocess.Popen[str], line: str) -> None:
     said = process.stdout.readline().strip() if process.stdout is not None else ""
     if said != line:
-        raise _failed("the simulated device", process.wait(GRACE_S))
+        raise _failed("the simulated device", process.wait(GRACE_S), said)
 
 
-def _failed(who: str, code: int) -> AgentError:
-    """Return what a process that ended by itself makes of the demo; it has said on stderr what was wrong."""
+def _failed(who: str, code: int, said: str) -> AgentError:
+    """Return what a process that ended by itself makes of the demo.
+
+    It has said on stderr what was wrong, and in the document on its stdout, whose faults are told as well.
+    """
     kind = {UsageError.exit_code: UsageError, StoreError.exit_code: StoreError}.get(code, BusError)
-    return kind.at("demo", f"{who} ended early (exit code {code})", "see its message above")
+    error = kind.at("demo", f"{who} ended early (exit code {code})", "see its message above")
+    error.told = _faults_in(said)
+    return error
+
+
+def _faults_in(said: str) -> tuple[Fault, ...]:
+    """Return the faults of a document on a process's stdout; none where it was killed before it wrote one."""
+    try:
+        return tuple(Fault(**fault) for fault in json.loads(said)["errors"])
+    except (ValueError, TypeError, KeyError):
+        return ()
+
+
+def _rest_of(process: subprocess.Popen[str]) -> str:
+    return "" if process.stdout is None else process.stdout.read()
 
 
 def _rows_expected(config: RigConfig) -> int:
@@ -144,7 +161,7 @@ def _await_rows(db: Path, parameter: str, rows: int, processes: Mapping[str, sub
     while seen < rows and time.monotonic() - changed < STALL_S:
         for who, process in processes.items():
             if process.poll() is not None:
-                raise _failed(who, process.returncode)
+                raise _failed(who, process.returncode, _rest_of(process))
         now = _rows_there(db, parameter)
         seen, changed = (now, time.monotonic()) if now != seen else (seen, changed)
         time.sleep(0.05)
@@ -154,7 +171,7 @@ def _ended(agent: subprocess.Popen[str]) -> dict[str, Any]:
     agent.terminate()
     out, _ = agent.communicate(timeout=GRACE_S)
     if agent.returncode != 0:
-        raise _failed("the agent", agent.returncode)
+        raise _failed("the agent", agent.returncode, out)
     document: dict[str, Any] = json.loads(out)
     return document
 

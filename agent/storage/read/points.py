@@ -186,6 +186,8 @@ def _unit(connection: Reader, rig: str, parameter: str) -> tuple[str, float | No
         "JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND s.parameter = ? ORDER BY s.seq DESC LIMIT 1"
     )
     row = connection.execute(query, (rig, parameter)).fetchone()
+    if row is None and not parameters_of(connection, rig):
+        return "", None
     if row is None:  # found a moment ago, by another way
         raise damaged("an index does not list what its table holds")
     unit, reference, seq = row

@@ -85,9 +85,12 @@ def one_rig(connection: sqlite3.Connection, rig: str | None) -> str:
 
 
 def check_parameter(connection: sqlite3.Connection, rig: str | None, parameter: str | None) -> None:
-    """Raise UsageError for a parameter that the rig, or any, has no rows of."""
+    """Raise UsageError for a parameter that the rig, or any, has no rows of while it has of others.
+
+    Where there is no row at all none can be told to be unknown: the agent may not have come to one yet.
+    """
     known = parameters_of(connection, rig)
-    if parameter is not None and parameter not in known:
+    if parameter is not None and known and parameter not in known:
         raise UsageError(
             [
                 Fault(

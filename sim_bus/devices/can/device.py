@@ -1,4 +1,4 @@
-"""Simulated CAN devices: on a socketcand daemon of our own, behind an slcan adapter, or on a kernel vcan."""
+"""Simulated CAN devices: on a socketcand daemon, behind an slcan adapter, on a vcan or a virtual bus."""
 
 import threading
 from collections.abc import Mapping, Sequence
@@ -11,6 +11,7 @@ from sim_bus.devices.can.kernel import KernelFrames, KernelOutlet
 from sim_bus.devices.can.packing import Packing, load_database
 from sim_bus.devices.can.slcan import SlcanDevice, SlcanText
 from sim_bus.devices.can.socketcand import ADAPTERS_REPORT, Endpoint, FrameText, SocketcandDevice
+from sim_bus.devices.can.virtual import VirtualOutlet
 from sim_bus.devices.device import Bench, Device
 from sim_bus.devices.pty_line import PtyLine
 from sim_bus.devices.stream import Stream
@@ -22,14 +23,13 @@ from sim_bus.rig.faults import LineFaults
 _STOP_S = 5.0
 
 
-class KernelDevice(Device):
-    """One source on a CAN interface of the kernel; a thread sends at the samples' times."""
+class BusDevice(Device):
+    """One source on a CAN interface of the kernel or a virtual bus; a thread sends at the samples' times."""
 
-    def __init__(self, clock: PlayClock, stream: Stream, channel: str, frame_size: int) -> None:
+    def __init__(self, clock: PlayClock, stream: Stream, outlet: KernelOutlet | VirtualOutlet) -> None:
         super().__init__(clock)
         self._stream = stream
-        self._channel = channel
-        self._outlet = KernelOutlet(channel, frame_size)
+        self._outlet = outlet
         self._received = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="can device", daemon=True)
@@ -56,7 +56,7 @@ class KernelDevice(Device):
         self._outlet.close()
 
     def ledger(self) -> Mapping[str, dict[str, Any]]:
-        facts = {"bus": f"socketcan {self._channel}", "frames_not_sent": self._outlet.not_sent}
+        facts = {"bus": self._outlet.bus, "frames_not_sent": self._outlet.not_sent}
         return {self._stream.source: facts | self._stream.ledger()}
 
 
@@ -83,7 +83,7 @@ def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
     return Packing(database, bench.source(number), fd=keys.fd, keys=keys)
 
 
-def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
+def _bus_device(bench: Bench, number: int, keys: CanSettings) -> Device:
     guard.virtual_can(keys.interface, keys.channel, f"source[{number}].channel")
     source = bench.source(number)
     packing = _packing(bench, number, keys)
@@ -95,7 +95,8 @@ def _kernel_device(bench: Bench, number: int, keys: CanSettings) -> Device:
     render = KernelFrames(packing.kinds)
     feed = Feed(bench.trajectory_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
     stream = Stream(source.name, feed, bench.clock_of(number), render, faults)
-    return KernelDevice(bench.clock, stream, keys.channel, render.size)
+    outlet = VirtualOutlet if keys.interface == "virtual" else KernelOutlet
+    return BusDevice(bench.clock, stream, outlet(keys.channel, render.size))
 
 
 def make_adapter_stream(bench: Bench, number: int) -> Stream:
@@ -134,7 +135,7 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
             devices.append(_adapter(bench, number, keys))
             continue
         if keys.interface != "socketcand":
-            devices.append(_kernel_device(bench, number, keys))
+            devices.append(_bus_device(bench, number, keys))
             continue
         endpoint = Endpoint(guard.loopback(keys.host, f"{where}.host"), keys.port)
         if keys.channel in daemons.setdefault(endpoint, {}):

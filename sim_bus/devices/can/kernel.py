@@ -50,6 +50,7 @@ class KernelOutlet(Outlet):
         self._channel = channel
         self._size = size
         self._retry_at = 0.0
+        self.bus = f"socketcan {channel}"
         self.not_sent = 0
         self._socket: socket.socket | None = None
 

@@ -12,7 +12,7 @@ import pytest
 from agent.cli.gateway.diag import diag
 from agent.cli.gateway.newest_samples import newest_samples
 from agent.cli.gateway.redaction import Redaction
-from agent.errors import UsageError
+from agent.errors import StoreError, UsageError
 from agent.recording import blocks
 from agent.recording.header import RawHeader
 from agent.storage.write.store import Store
@@ -124,3 +124,9 @@ def test_bundle_is_readable_by_nobody_else_and_written_through_no_link(tmp_path:
     with pytest.raises(UsageError, match="bundle"):
         diag(db, to)
     assert others.read_text() == "as it was"
+
+
+def test_bundle_of_a_path_where_nothing_is_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="there is no such database"):
+        diag(tmp_path / "typo.db", tmp_path / "b.tar.gz")
+    assert not list(tmp_path.iterdir())

@@ -270,6 +270,20 @@ def test_trend_of_no_rows_is_no_error(db: Path, said: Said) -> None:
     assert "no valid rows" in said(trend, db, "k1", "press-8", times, None, "table", None)
 
 
+@pytest.mark.parametrize("limit", [None, 5.0])
+def test_database_without_any_row_knows_no_parameter_to_be_wrong(
+    limit: float | None, tmp_path: Path, said: Said
+) -> None:
+    db = tmp_path / "new.db"
+    store = Store.open(db)
+    store.begin_run(RunInfo("press-9", "live", START, "0.1.0", "0" * 64))
+    store.close()
+    found = json.loads(said(trend, db, "k1", None, (None, None), limit, "json", None))
+    assert (found["n"], found["rig"], found["parameter"]) == (0, "press-9", "k1")
+    assert "no valid rows" in said(trend, db, "k1", None, (None, None), limit, "table", None)
+    assert json.loads(said(estimates, db, None, "k1", None, None, "json"))["rows"] == []
+
+
 def test_trend_of_few_rows_says_too_few(db: Path, said: Said) -> None:
     assert "too few rows" in said(trend, db, "k1", "press-8", ("0.1s", None), None, "table", None)
 

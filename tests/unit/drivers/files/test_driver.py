@@ -130,6 +130,8 @@ def test_csv_with_unreadable_times_and_the_uniform_clock_keeps_every_row(tmp_pat
         (b"\x89PNG\r\n\x1a\n\x00\x01\xff", "is not text"),
         (bytes(range(256)) * 100, "is not text"),
         (b"\x1f\x8b\x08\x00", "or a CAN log .*; unpack what is compressed"),
+        ("t,force,x1,Weg µm\n0,1,2,3\n".encode("latin-1"), "not of UTF-8; .*iconv -f WINDOWS-1252 -t UTF-8"),
+        ("t,force,x1\n0,1,2\n".encode("utf-16"), "not of UTF-8; .*iconv -f UTF-16 -t UTF-8"),
         (b"\n1,2\n", "is blank"),
         (b"t,force,x1\r0,1,2\r", "lines that end in a carriage return alone; save it with line feeds"),
         (b"t,force,x1," + b"y" * (1 << 20), "a first line of more than 1048576 bytes is not read"),

@@ -177,12 +177,12 @@ class Explainer:
         """Windows from the newest that was learnt from to the one that ends with a sample."""
         return (newest - self._learnt_at) / self.settings.plan.window
 
-    def _walked(self, known: Knowledge, newest: int) -> Knowledge:
+    def _known_at(self, known: Knowledge, newest: int) -> Knowledge:
         """Return what is known when a sample is read: constants walked since the last window learnt from.
 
         That one went wrong since is not assumed: it is what the windows solved with this are asked.
         """
-        return replace(known, constants=known.constants.walked(max(self._later(newest), 0.0)))
+        return replace(known, constants=known.constants.after(max(self._later(newest), 0.0)))
 
     def due(self, reading: Reading) -> BoolArray:
         """(N,) rows whose windows are to be learnt from: it is time, or noise is far less than was learnt."""
@@ -277,7 +277,7 @@ class Explainer:
         assert known is not None  # noqa: S101 - known since the first window
         self.solved += 1
         window = self.window(record, newest)[0]
-        posterior, theta = self.learner.solve(window, self._walked(known, newest))
+        posterior, theta = self.learner.solve(window, self._known_at(known, newest))
         self._last = (window, posterior)
         rests = posterior.holds
         same = rests and self._is_the_same(posterior)
@@ -303,7 +303,7 @@ class Explainer:
         is_asked = any((rests, whole, faults.is_active))
         if known is None or self.posterior is None or not is_asked:
             return False
-        now = self._walked(known, newest)
+        now = self._known_at(known, newest)
         found = faults.contest(record, window, newest, now, self.posterior.sd_repeat, theta)
         return faults.follow(newest, found, onset, rests)
 
@@ -354,7 +354,7 @@ class Explainer:
         """Take a change of the noise for what broke a window, unless one jump explains it better."""
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
-        if jumps and not self.learner.contested(window, self._walked(known, newest), posterior):
+        if jumps and not self.learner.contested(window, self._known_at(known, newest), posterior):
             return False
         later = max(self._later(newest), 1.0)
         said, learnt = self.learner.learn(window, known, shaken=True, believe=True, later=later)
@@ -369,7 +369,7 @@ class Explainer:
     def _runs_on(self, window: Window, newest: int) -> bool:
         """Whether parameters on straight lines explain a window; its row then says where they end."""
         assert self.known is not None  # noqa: S101 - known since the first window
-        line = self.learner.line(window, self._walked(self.known, newest))
+        line = self.learner.line(window, self._known_at(self.known, newest))
         self._moves = line.holds
         if line.holds:
             self.lines[newest] = line.end

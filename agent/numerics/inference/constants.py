@@ -200,7 +200,7 @@ class Constants:
             weight[:, None] * apart
         ).T @ apart
 
-    def walked(self, windows: float) -> "Constants":
+    def after(self, windows: float) -> "Constants":
         """Return what is known so many windows later where no hypothesis switches."""
         walk = np.array([h.walk for h in self.hypotheses])
         return replace(self, covariance=self.covariance + windows * walk)
@@ -210,7 +210,7 @@ class Constants:
         prior = np.array([h.prior for h in self.hypotheses])
         prior /= prior.sum()
         stays = (1 - tuning.SWITCH) ** windows
-        return replace(self.walked(windows), weight=stays * self.weight + (1 - stays) * prior)
+        return replace(self.after(windows), weight=stays * self.weight + (1 - stays) * prior)
 
     def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
         """Return what is known after a window of information S (c, c) and score g (c,) about η = at (c,)."""

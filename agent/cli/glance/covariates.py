@@ -31,20 +31,39 @@ def surroundings(
 def _row(
     name: str, mean: CovariateMean | None, following: Sequence[tuple[Baseline, Dependence]], now_ns: int
 ) -> dict[str, Any]:
-    t_ns = None if mean is None else mean.t_ns + mean.span_s * 1_000_000_000
-    age_s = None if t_ns is None else max(now_ns - t_ns, 0) / 1e9
-    holds_s = min((one.hold_s for _, one in following), default=None)
     compensates = [_compensated(baseline, one) for baseline, one in following]
+    age_s = _age_s(mean, now_ns)
     return {
         "covariate": name,
-        "unit": mean.unit if mean is not None else following[0][1].unit,
-        "value": None if mean is None else mean.value,
-        "t_ns": t_ns,
+        **(_unread(following) if mean is None else _read(mean)),
         "age_s": age_s,
-        "stale": holds_s is not None and (age_s is None or age_s > holds_s + LATE_S),
+        "stale": _is_stale(age_s, [one.hold_s for _, one in following]),
         "compensates": compensates,
         "words": _words(compensates),
     }
+
+
+def _read(mean: CovariateMean) -> dict[str, Any]:
+    return {"unit": mean.unit, "value": mean.value, "t_ns": _end_ns(mean)}
+
+
+def _unread(following: Sequence[tuple[Baseline, Dependence]]) -> dict[str, Any]:
+    return {"unit": following[0][1].unit, "value": None, "t_ns": None}
+
+
+def _end_ns(mean: CovariateMean) -> int:
+    return mean.t_ns + mean.span_s * 1_000_000_000
+
+
+def _age_s(mean: CovariateMean | None, now_ns: int) -> float | None:
+    return None if mean is None else max(now_ns - _end_ns(mean), 0) / 1e9
+
+
+def _is_stale(age_s: float | None, holds_s: Sequence[float]) -> bool:
+    """Tell whether references hold what they were: nothing reads a covariate that they follow, or it is old."""
+    if not holds_s:
+        return False
+    return age_s is None or age_s > min(holds_s) + LATE_S
 
 
 def _compensated(baseline: Baseline, one: Dependence) -> dict[str, Any]:

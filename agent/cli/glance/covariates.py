@@ -60,7 +60,7 @@ def _age_s(mean: CovariateMean | None, now_ns: int) -> float | None:
 
 
 def _is_stale(age_s: float | None, holds_s: Sequence[float]) -> bool:
-    """Tell whether references hold what they were: nothing reads a covariate that they follow, or it is old."""
+    """Tell whether references hold still: nothing reads a covariate that they follow, or it is old."""
     if not holds_s:
         return False
     return age_s is None or age_s > min(holds_s) + LATE_S

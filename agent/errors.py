@@ -34,7 +34,7 @@ class AgentError(Exception):
     """Base of what the agent raises on purpose: one or several faults, shown one a line."""
 
     exit_code: ClassVar[int] = 1
-    told: tuple[Fault, ...] = ()
+    causes: tuple[Fault, ...] = ()
     """Faults behind these that stand on stderr already, from a process that this one waited for."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:

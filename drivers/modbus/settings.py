@@ -10,7 +10,7 @@ from drivers.modbus.frames import FIFO_REGISTERS
 from drivers.port import DriverSettings
 
 RING_S, POLL_S = 0.1, 0.02
-LEAST_PERIOD_S, LONGEST_PERIOD_S = 1e-4, 86400.0
+LONGEST_PERIOD_S = 86400.0
 """Default periods: a ring remembers what it is not asked for, and many samples cost hardly more than one."""
 BYTE_ORDERS: Mapping[str, tuple[Order, Order]] = {
     "ABCD": ("big", "big"),
@@ -62,7 +62,7 @@ class ModbusSettings(DriverSettings):
     address: Address | None = None
     period_s: float = Field(
         default_factory=lambda keys: RING_S if keys.get("mode") == "ring" else POLL_S,
-        ge=LEAST_PERIOD_S,
+        gt=0,
         le=LONGEST_PERIOD_S,
     )
     gap: int = Field(default=8, ge=0, le=120)

@@ -66,7 +66,7 @@ def report(error: Exception, flags: Flags) -> int:
         traceback.print_exception(error)
     faults, code = faults_of(error)
     with suppress(UsageError, ReaderGoneError):  # stdout is gone; stderr says what was wrong before
-        print_faults(faults, as_json=flags.json, told=getattr(error, "told", ()))
+        print_faults(faults, as_json=flags.json, causes=getattr(error, "causes", ()))
         sys.stdout.flush()
     return code
 

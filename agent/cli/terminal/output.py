@@ -126,16 +126,16 @@ def console() -> "Console":
     return Console(file=sys.stdout, width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 
 
-def print_faults(faults: Iterable[Fault], *, as_json: bool = False, told: Sequence[Fault] = ()) -> None:
+def print_faults(faults: Iterable[Fault], *, as_json: bool = False, causes: Sequence[Fault] = ()) -> None:
     """Print faults on stderr, one a line; as a document on stdout too where JSON was asked for.
 
-    told: faults that stand on stderr already, and belong before these in the document.
+    causes: faults that stand on stderr already, and belong before these in the document.
     """
     faults = list(faults)
     for fault in faults:
         sys.stderr.write(f"deltak: error: {printable(' '.join(str(fault).split()))}\n")
     if as_json:
-        print_json({"errors": [fault_document(fault) for fault in (*told, *faults)]})
+        print_json({"errors": [fault_document(fault) for fault in (*causes, *faults)]})
 
 
 def fault_of(document: Mapping[str, Any]) -> Fault:

@@ -124,7 +124,7 @@ def _failed(who: str, code: int, said: str) -> AgentError:
     """
     kind = {UsageError.exit_code: UsageError, StoreError.exit_code: StoreError}.get(code, BusError)
     error = kind.at("demo", f"{who} ended early (exit code {code})", "see its message above")
-    error.told = _faults_in(said)
+    error.causes = _faults_in(said)
     return error
 
 

@@ -1,6 +1,7 @@
 """What surrounds a rig: the newest reading of each covariate, and which references follow it."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from math import inf
 from typing import Any
 
 from agent.blocks.covariates.compensation import dependences
@@ -31,20 +32,28 @@ def surroundings(
 def _row(
     name: str, mean: CovariateMean | None, following: Sequence[tuple[Baseline, Dependence]], now_ns: int
 ) -> dict[str, Any]:
-    t_ns = None if mean is None else mean.t_ns + mean.span_s * 1_000_000_000
-    age_s = None if t_ns is None else max(now_ns - t_ns, 0) / 1e9
-    holds_s = min((one.hold_s for _, one in following), default=None)
+    unit = following[0][1].unit if mean is None else mean.unit
+    t_ns, value, age_s = _read(mean, now_ns)
+    holds_s = min((one.hold_s for _, one in following), default=inf)
     compensates = [_compensated(baseline, one) for baseline, one in following]
     return {
         "covariate": name,
-        "unit": mean.unit if mean is not None else following[0][1].unit,
-        "value": None if mean is None else mean.value,
+        "unit": unit,
+        "value": value,
         "t_ns": t_ns,
         "age_s": age_s,
-        "stale": holds_s is not None and (age_s is None or age_s > holds_s + LATE_S),
+        "stale": (inf if age_s is None else age_s) > holds_s + LATE_S,
         "compensates": compensates,
         "words": _words(compensates),
     }
+
+
+def _read(mean: CovariateMean | None, now_ns: int) -> tuple[int | None, float | None, float | None]:
+    """Return the end of a mean's period, the mean and its age, s; None of one that is not there."""
+    if mean is None:
+        return None, None, None
+    t_ns = mean.t_ns + mean.span_s * 1_000_000_000
+    return t_ns, mean.value, max(now_ns - t_ns, 0) / 1e9
 
 
 def _compensated(baseline: Baseline, one: Dependence) -> dict[str, Any]:

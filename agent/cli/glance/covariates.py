@@ -13,7 +13,7 @@ LATE_S = 120.0
 """A mean is of a minute that is over, and is committed some time later."""
 
 
-def surroundings(
+def covariates_now(
     means: Iterable[CovariateMean], standing: Sequence[Baseline], now_ns: int
 ) -> list[dict[str, Any]]:
     """Return {"covariate", "unit", "value", "t_ns", "age_s", "stale", "compensates", "words"} of each.

@@ -1,6 +1,7 @@
 """What surrounds a rig: the newest reading of each covariate, and which references follow it."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from math import inf
 from typing import Any
 
 from agent.blocks.covariates.compensation import dependences
@@ -12,7 +13,7 @@ LATE_S = 120.0
 """A mean is of a minute that is over, and is committed some time later."""
 
 
-def surroundings(
+def covariates_now(
     means: Iterable[CovariateMean], standing: Sequence[Baseline], now_ns: int
 ) -> list[dict[str, Any]]:
     """Return {"covariate", "unit", "value", "t_ns", "age_s", "stale", "compensates", "words"} of each.
@@ -31,39 +32,28 @@ def surroundings(
 def _row(
     name: str, mean: CovariateMean | None, following: Sequence[tuple[Baseline, Dependence]], now_ns: int
 ) -> dict[str, Any]:
+    unit = following[0][1].unit if mean is None else mean.unit
+    t_ns, value, age_s = _read(mean, now_ns)
+    holds_s = min((one.hold_s for _, one in following), default=inf)
     compensates = [_compensated(baseline, one) for baseline, one in following]
-    age_s = _age_s(mean, now_ns)
     return {
         "covariate": name,
-        **(_unread(following) if mean is None else _read(mean)),
+        "unit": unit,
+        "value": value,
+        "t_ns": t_ns,
         "age_s": age_s,
-        "stale": _is_stale(age_s, [one.hold_s for _, one in following]),
+        "stale": (inf if age_s is None else age_s) > holds_s + LATE_S,
         "compensates": compensates,
         "words": _words(compensates),
     }
 
 
-def _read(mean: CovariateMean) -> dict[str, Any]:
-    return {"unit": mean.unit, "value": mean.value, "t_ns": _end_ns(mean)}
-
-
-def _unread(following: Sequence[tuple[Baseline, Dependence]]) -> dict[str, Any]:
-    return {"unit": following[0][1].unit, "value": None, "t_ns": None}
-
-
-def _end_ns(mean: CovariateMean) -> int:
-    return mean.t_ns + mean.span_s * 1_000_000_000
-
-
-def _age_s(mean: CovariateMean | None, now_ns: int) -> float | None:
-    return None if mean is None else max(now_ns - _end_ns(mean), 0) / 1e9
-
-
-def _is_stale(age_s: float | None, holds_s: Sequence[float]) -> bool:
-    """Tell whether references hold still: nothing reads a covariate that they follow, or it is old."""
-    if not holds_s:
-        return False
-    return age_s is None or age_s > min(holds_s) + LATE_S
+def _read(mean: CovariateMean | None, now_ns: int) -> tuple[int | None, float | None, float | None]:
+    """Return the end of a mean's period, the mean and its age, s; None of one that is not there."""
+    if mean is None:
+        return None, None, None
+    t_ns = mean.t_ns + mean.span_s * 1_000_000_000
+    return t_ns, mean.value, max(now_ns - t_ns, 0) / 1e9
 
 
 def _compensated(baseline: Baseline, one: Dependence) -> dict[str, Any]:

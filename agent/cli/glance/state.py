@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from agent.cli.glance.covariates import surroundings
+from agent.cli.glance.covariates import covariates_now
 from agent.cli.glance.files import Watched
 from agent.cli.glance.known import known_now, known_words
 from agent.errors import StoreError
@@ -67,7 +67,7 @@ def _rig(database: Watched, name: str, tables: Mapping[str, Sequence[Row]], now_
         "known": known_words(parameters),
         "alarms": sorted(alarms, key=urgency, reverse=True),
         "sources": [{**row, "stale": (now_ns - row["t_ns"]) / 1e9 > _STALE_S} for row in tables["sources"]],
-        "covariates": surroundings(
+        "covariates": covariates_now(
             covariates.newest(database.path, name), baselines.standing(database.path, name), now_ns
         ),
     }

@@ -104,7 +104,10 @@ def pooled(
     progress: is called with words for how far it is.
     """
     learner = Learner(rig, windows[0].length, len(sigma), floor)
-    known = first_noise(learner, windows, sigma, spread, progress)
+    learnt = first_noise(learner, windows, sigma, spread, progress)
+    nominal = replace(learnt, theta=rig.nominal.copy(), eta=np.zeros(len(rig.constants)))
+    # a window of another machine may teach parameters that run away
+    known = max((learnt, nominal), key=lambda known: _Sum.of(learner, windows, known).log_likelihood)
     return _descended(learner, windows, known, progress)
 
 

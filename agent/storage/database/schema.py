@@ -243,7 +243,10 @@ def own_schema() -> dict[tuple[str, str], tuple[str, str | None]]:
 
 def _schema(connection: sqlite3.Connection) -> dict[tuple[str, str], tuple[str, str | None]]:
     rows = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master")
-    return {(kind, name): (table, text) for kind, name, table, text in rows}
+    # a text that damage made a blob is none
+    return {
+        (kind, name): (table, text if isinstance(text, str) else None) for kind, name, table, text in rows
+    }
 
 
 def _bare(entry: tuple[str, str | None] | None) -> tuple[str, ...]:

@@ -20,6 +20,8 @@ def beyond(value: FloatArray, limit: float, way: float) -> BoolArray:
     way: limit less the level that the forecast began with; its sign is the side.
     """
     past = (value - limit) * np.sign(way) >= 0.0
+    if not len(past):
+        return np.zeros(0, dtype=np.bool_)  # a convolution knows no empty rows
     count = np.convolve(past[::-1], np.ones(NEXT), mode="full")[: len(past)][::-1]
     return np.asarray(past & (count >= NEEDED))
 

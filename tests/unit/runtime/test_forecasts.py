@@ -135,6 +135,14 @@ def test_forecast_is_scored_once_as_scoringrules_does(rig: RigConfig, tmp_path: 
     assert queries.forecasts(path)[1]["status"] == "crossed"
 
 
+def test_forecast_after_which_no_row_came_awaits_its_score(rig: RigConfig, tmp_path: Path) -> None:
+    path = store(tmp_path / "a.db", falling(0, 30))
+    with Store.open(path) as opened:
+        opened.write(opened.begin_run(run_info()), list(Forecaster(rig, path).make("due", ("k1",)).records))
+    found = Forecaster(rig, path).make("start", ("k1",)).records
+    assert sorted(type(r).__name__ for r in found) == ["ForecastRecord", "TrendRecord"]
+
+
 def test_forecast_of_what_never_comes_is_scored_when_its_time_has_long_passed(
     rig: RigConfig, tmp_path: Path
 ) -> None:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from agent.blocks.constants_watch import SOURCE
 from agent.numerics.estimator.faults import Finding
 from agent.numerics.inference.channels import Fault
+from agent.records import HealthEvent
 from agent.text import number
-from agent.types import HealthEvent, Output, Reason, SensorEvent, SensorFault
+from agent.types import Output, Reason, SensorEvent, SensorFault
 
 UNITS = {"force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}
 

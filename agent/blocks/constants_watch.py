@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from agent.numerics.inference.verdicts import Belief
+from agent.records import HealthEvent
 from agent.text import number
-from agent.types import HealthEvent, Output, Reason, SensorEvent, SensorFault, Verdict
+from agent.types import Output, Reason, SensorEvent, SensorFault, Verdict
 
 SOURCE = "model"
 SURE = 0.95

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.blocks.covariates.compensation import dependences
 from agent.blocks.estimation import Labels
-from agent.types import Baseline
+from agent.records import Baseline
 
 
 def counted_from(

@@ -14,7 +14,7 @@ from agent.blocks.covariates.readings import readings
 from agent.blocks.friction import dry_friction
 from agent.commissioning.limits import AHEAD, CALM, LEAST_ROWS, MOST_ROWS, ORDER, REACH
 from agent.config import RigConfig
-from agent.config.covariates.tables import Covariate
+from agent.config.sections.covariates import Covariate
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, simulate
 from agent.runtime.assembly.acquisition_plan import Maps, channels_of, make_acquisition

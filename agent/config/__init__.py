@@ -12,7 +12,7 @@ from agent.config.model.parameters import Parameter
 from agent.config.model.tables import Channel, Element, Mass, MechanicsModel, Model
 from agent.config.plugins import driver_class, driver_entries
 from agent.config.reading.toml_file import files_of
-from agent.config.results.tables import Forecast, Metrics, Store
+from agent.config.sections.results import Forecast, Metrics, Store
 from agent.config.tables import Alarm, Estimator, Observer, Rig, RigConfig, Source, learnt_key
 
 __all__ = [

@@ -4,15 +4,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from agent.config.covariates.tables import BaselineTable, Covariate
 from agent.config.domains.plant import Domain, Plant
 from agent.config.model.linear import LinearModel
 from agent.config.model.parameters import Parameter, parameters_of
 from agent.config.model.tables import Channel, MechanicsModel, Model
-from agent.config.north.tables import North
-from agent.config.process.settings import Agent
 from agent.config.reading.parse import Entry, Faults, readable
-from agent.config.results.tables import Forecast, Metrics, Notify, Store
+from agent.config.sections.covariates import BaselineTable, Covariate
+from agent.config.sections.north import North
+from agent.config.sections.process import Agent
+from agent.config.sections.results import Forecast, Metrics, Notify, Store
 from agent.config.tables import Alarm, Columns, Estimator, Rig, Source
 
 

@@ -6,27 +6,27 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, cast
 
-from agent.config.covariates.tables import BaselineTable
 from agent.config.domains.kinds import DOMAINS
 from agent.config.domains.plant import Domain
 from agent.config.draft import Draft
 from agent.config.model.linear import LinearModel
 from agent.config.model.linear_files import with_matrices
 from agent.config.model.tables import Channel, MechanicsModel
-from agent.config.north.tables import North
-from agent.config.process.settings import Agent, agreed
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Entry, Faults, read_list, read_table
 from agent.config.reading.secrets import without_plain_secrets
 from agent.config.reading.toml_file import parse_toml, read_bytes
-from agent.config.results.tables import Forecast, Metrics, Notify, Store
 from agent.config.rules_channels import check_channels, check_covariates, split_channels
 from agent.config.rules_constants import check_constants
 from agent.config.rules_estimator import check_alarms, check_estimator, check_forecast
 from agent.config.rules_model import check_model
 from agent.config.rules_north import check_north
 from agent.config.rules_sources import check_notify, check_sources, divided, read_sources
+from agent.config.sections.covariates import BaselineTable
+from agent.config.sections.north import North
+from agent.config.sections.process import Agent, agreed
+from agent.config.sections.results import Forecast, Metrics, Notify, Store
 from agent.config.tables import Alarm, Columns, Estimator, Rig, RigConfig
 from agent.errors import ConfigError, Fault
 

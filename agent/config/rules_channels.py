@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from agent.config.covariates.tables import Covariate
 from agent.config.draft import Draft
 from agent.config.model.linear import LinearModel
 from agent.config.model.tables import Channel, MechanicsModel
@@ -12,6 +11,7 @@ from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Entry, Faults, read_table, readable, unique
 from agent.config.reading.units import conversion, examples, wrong_kind
+from agent.config.sections.covariates import Covariate
 
 ROLES: Final = ("signal", "covariate")
 RESERVED: Final[Mapping[str, str]] = {

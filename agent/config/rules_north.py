@@ -8,11 +8,11 @@ from typing import Final
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from agent.config.draft import Draft
-from agent.config.north.tables import North
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing
 from agent.config.reading.parse import readable, unique
 from agent.config.reading.secrets import is_vague
+from agent.config.sections.north import North
 from agent.errors import Fault
 
 SCHEMES: Final = {

@@ -11,7 +11,7 @@ from agent.config.reading.fields import shown
 from agent.config.reading.messages import faults_of, join, listing
 from agent.config.reading.parse import Entry, Faults, read_list, readable, unique
 from agent.config.reading.secrets import is_vague
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.config.tables import Source
 from agent.errors import ConfigError, Fault
 

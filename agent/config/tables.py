@@ -10,11 +10,8 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from agent.config.covariates.tables import BaselineTable, Covariate
 from agent.config.model.parameters import Parameter, parameters_of
 from agent.config.model.tables import Channel, Model
-from agent.config.north.tables import North
-from agent.config.process.settings import Agent
 from agent.config.reading.fields import (
     Asked,
     Duration,
@@ -29,7 +26,10 @@ from agent.config.reading.fields import (
     Text,
     Window,
 )
-from agent.config.results.tables import Forecast, Metrics, Notify, Store
+from agent.config.sections.covariates import BaselineTable, Covariate
+from agent.config.sections.north import North
+from agent.config.sections.process import Agent
+from agent.config.sections.results import Forecast, Metrics, Notify, Store
 
 
 class Rig(Table):

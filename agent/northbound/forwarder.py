@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.clock import monotonic_ns, wall_ns
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.errors import AgentError
 from agent.northbound.interface.peer import Batch, MakePeer, Peer, PeerError, Place
 from agent.northbound.position import Position
+from agent.records import HealthEvent
 from agent.storage.read.forward import Feed, lag
 from agent.storage.write.consumers.cursors import Edges, begin, edges_of, keep
 from agent.storage.write.jobs import Job
 from agent.storage.write.store import Store
-from agent.types import HealthEvent
 
 PAUSE_S: Final = 1.0, 30.0
 """After a failed attempt, at least and, doubled each time, at most; each randomly shortened by up to half."""

@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 
 from agent.clock import wall_ns
 from agent.config import RigConfig
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.errors import AgentError
 from agent.northbound.forwarder import Forwarder
 from agent.northbound.interface.peer import Place
 from agent.northbound.kinds import make_peer
+from agent.records import HealthEvent
 from agent.storage.read.forward import all_reached
 from agent.storage.write.consumers.cursors import forget_others
 from agent.storage.write.writer import StoreWriter
-from agent.types import HealthEvent
 
 _Key = tuple[Path, str]
 log = logging.getLogger(__name__)

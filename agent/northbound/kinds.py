@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.peer import Peer, Place
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.clock import wall_ns
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.errors import AgentError
 from agent.notification.message import Message, message_of
 from agent.notification.routing import quiet_s

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timedelta
 
 from agent.config import RigConfig
-from agent.config.results.tables import PRIORITIES, Notify
+from agent.config.sections.results import PRIORITIES, Notify
 from agent.types import AlarmTransition
 
 

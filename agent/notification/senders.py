@@ -25,7 +25,7 @@ from urllib.parse import urlsplit
 
 from agent import __version__
 from agent.config.reading.secrets import Secret
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.notification.message import Message
 
 _QUOTING: Final = ("apprise", "requests", "urllib3")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agent.config import RigConfig
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.notification.routing import route
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.clock import wall_ns
-from agent.config.results.tables import Events
+from agent.config.sections.results import Events
 from agent.recording.ages import Ages
 from agent.recording.event_files import (
     META,
@@ -27,7 +27,7 @@ from agent.recording.event_files import (
 from agent.recording.folder import AGES, make_folder, room
 from agent.recording.header import RawHeader
 from agent.recording.states import Rounds, State, state_bytes
-from agent.types import EventRecord, HealthEvent, Record
+from agent.records import EventRecord, HealthEvent, Record
 
 MOST_JOBS = 8
 SUFFIX = ".events"

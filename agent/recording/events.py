@@ -19,7 +19,8 @@ from agent.config import RigConfig
 from agent.recording.event_files import Labels, Taken
 from agent.recording.event_writer import Job
 from agent.recording.states import State
-from agent.types import AlarmTransition, EstimateBatch, EventRecord, HealthEvent, IntArray, Record
+from agent.records import EventRecord, HealthEvent, Record
+from agent.types import AlarmTransition, EstimateBatch, IntArray
 from drivers.port import SampleBlock
 
 Label = Callable[[IntArray], IntArray]

@@ -11,8 +11,8 @@ from agent.errors import AgentError
 from agent.recording.event_writer import EventWriter, Facts
 from agent.recording.header import RawHeader
 from agent.recording.recorder import Limits, Recorder
+from agent.records import EventRecord, HealthEvent, Record
 from agent.storage.read import queries
-from agent.types import EventRecord, HealthEvent, Record
 from drivers.port import Driver
 
 FOLDER = ".raw"

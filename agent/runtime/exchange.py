@@ -12,11 +12,11 @@ from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.config.tables import Source
 from agent.errors import AgentError, StoreError
+from agent.records import HealthEvent
 from agent.runtime.limits import CLOSE_S, FINISH_S, LEAVE_S
 from agent.runtime.process.databases import density_of, path_of, runs_of
 from agent.runtime.rig_set import Parts, RigSet
 from agent.runtime.sources import Connection
-from agent.types import HealthEvent
 
 CONFIGURATION = "configuration"
 """What events of a reload are told of."""

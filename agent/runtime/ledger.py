@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from agent.blocks.acquisition.interface import Acquisition, Ends, Through
 from agent.blocks.acquisition.source_clocks import SourceClocks
-from agent.types import Health
+from agent.records import Health
 from drivers.port import Counts
 
 

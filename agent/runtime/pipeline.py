@@ -28,22 +28,11 @@ from agent.blocks.rig_model import hop_plan
 from agent.blocks.sensor_alarms import SensorAlarms
 from agent.blocks.sensor_labels import Labelled
 from agent.config import RigConfig, learnt_key
+from agent.records import Baseline, ConditionsRecord, CovariateMean, HealthEvent, LearntRecord, Record
 from agent.runtime.assembly.acquisition_plan import make_acquisition
 from agent.runtime.assembly.stages import make_stages
 from agent.runtime.ledger import Ledger
-from agent.types import (
-    Aligned,
-    Baseline,
-    ConditionsRecord,
-    CovariateMean,
-    FloatArray,
-    HealthEvent,
-    IntArray,
-    Learnt,
-    LearntRecord,
-    Record,
-    Samples,
-)
+from agent.types import Aligned, FloatArray, IntArray, Learnt, Samples
 from drivers.port import SampleBlock
 
 Piece = tuple[IntArray, IntArray, FloatArray]

@@ -11,12 +11,13 @@ from agent.blocks.covariates.readings import instants, readings
 from agent.clock import SampleLabels
 from agent.errors import Fault, RecordingError
 from agent.recording.source import OwnRecording
+from agent.records import ClockRecord, Record
 from agent.runtime.ledger import Conservation
 from agent.runtime.limits import HEALTH_PERIOD_NS
 from agent.runtime.pipeline import Pipeline, Prepared
 from agent.runtime.sources import part
 from agent.runtime.usability import Evidence, assess
-from agent.types import ClockRecord, FloatArray, IntArray, Record
+from agent.types import FloatArray, IntArray
 from drivers.port import Counts, Driver, DriverError, SampleBlock
 
 log = logging.getLogger(__name__)

@@ -17,6 +17,7 @@ from agent.config import RigConfig, driver_class, learnt_key, load
 from agent.config.tables import Source
 from agent.errors import AgentError, RecordingError
 from agent.recording.source import is_own, own_recording, own_recordings, without_indexes
+from agent.records import Baseline, CovariateMean, Record, RunInfo
 from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.pipeline import Pipeline, resolutions
@@ -24,7 +25,7 @@ from agent.runtime.playing import Playing, Track
 from agent.runtime.results import RunSummary
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import Baseline, CovariateMean, Learnt, Record, RunInfo
+from agent.types import Learnt
 from drivers.port import Driver, DriverConfigError, DriverError, SourceRequest
 
 SOURCE = "recording"

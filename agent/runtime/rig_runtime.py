@@ -16,6 +16,7 @@ from agent.clock import SampleLabels, monotonic_ns, wall_ns
 from agent.config import RigConfig
 from agent.recording.events import EventKeeper
 from agent.recording.states import frozen
+from agent.records import Baseline, ClockRecord, CovariateMean, HealthEvent, Record
 from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
 from agent.runtime.forecasts.thread import ForecastThread
@@ -26,16 +27,7 @@ from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
 from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
-from agent.types import (
-    AlarmTransition,
-    Baseline,
-    ClockRecord,
-    CovariateMean,
-    HealthEvent,
-    IntArray,
-    Learnt,
-    Record,
-)
+from agent.types import AlarmTransition, IntArray, Learnt
 from drivers.reconnect import LinkEvent
 
 WORKER = "worker"

@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.clock import monotonic_ns
 from agent.config import RigConfig
-from agent.config.process.settings import agreed
+from agent.config.sections.process import agreed
 from agent.errors import AgentError, Fault, UsageError
 from agent.recording.event_writer import EventWriter
 from agent.recording.recorder import Recorder

@@ -14,12 +14,12 @@ from typing import Any
 from agent import __version__
 from agent.clock import monotonic_ns
 from agent.errors import AgentError
+from agent.records import Health
 from agent.runtime.process.heartbeats import Heartbeats
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.rig_set import RigSet
 from agent.storage.database.connect import connect_reader
 from agent.storage.write.writer import StoreWriter
-from agent.types import Health
 
 Document = dict[str, Any]
 _STANDING = "SELECT rig, state, count(*) FROM v_alarms WHERE cleared_at IS NULL GROUP BY rig, state"

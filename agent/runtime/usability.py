@@ -8,8 +8,9 @@ import numpy as np
 
 from agent.config import RigConfig
 from agent.errors import Fault, RecordingError
+from agent.records import Record
 from agent.runtime.limits import LITTLE, MOST_REFUSED, NEAR, WATCHED
-from agent.types import EstimateBatch, IntArray, Record, Status
+from agent.types import EstimateBatch, IntArray, Status
 from drivers.port import Counts, SampleBlock
 
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.errors import StoreError, StoreHeldError, UsageError
+from agent.records import Baseline
 from agent.storage.database.connect import cause_of, connect_reader, connect_writer, may_pass
 from agent.storage.database.files import (
     Kind,
@@ -32,7 +33,6 @@ from agent.storage.recovery.salvage import Recovery, recover
 from agent.storage.write.command_socket import ask
 from agent.storage.write.store import Store
 from agent.storage.write.watermark import Watermarks
-from agent.types import Baseline
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite

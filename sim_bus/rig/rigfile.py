@@ -259,10 +259,6 @@ class RigFile(_Part):
             return [f'{name}: channels of a linear model have quantity "input" or "output"' for name in wrong]
         return [f'{c.name}: no mass is called "{c.at}"' for c in self.channel if c.at not in system.nodes]
 
-    def named(self, name: str) -> Channel:
-        """Return a channel by name."""
-        return next(channel for channel in self.channel if channel.name == name)
-
     def has_signals(self, number: int) -> bool:
         """Tell whether a source carries any of the model's channels, not covariates alone."""
         beside = {covariate.name for covariate in self.covariate}

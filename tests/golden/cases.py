@@ -13,8 +13,8 @@ from agent.config import load
 from agent.evaluation.score.measures import Assessment
 from agent.evaluation.score.play import Outcome, open_bench, play
 from agent.evaluation.score.score import _expectation, _failures
+from agent.records import Record
 from agent.runtime.replay import begun
-from agent.types import Record
 from sim_bus.rig.fault_names import KNOWN
 from sim_bus.rig.scenario import load_scenario
 from sim_bus.virtual_time.bench import PlayedBench, scored

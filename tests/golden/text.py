@@ -8,18 +8,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from agent.types import (
-    AlarmTransition,
-    ClockRecord,
-    EstimateBatch,
-    Health,
-    HealthEvent,
-    LearntRecord,
-    Reason,
-    Record,
-    Status,
-    Verdict,
-)
+from agent.records import ClockRecord, Health, HealthEvent, LearntRecord, Record
+from agent.types import AlarmTransition, EstimateBatch, Reason, Status, Verdict
 
 ARRAYS = (
     "index", "t_ns", "value", "sd", "lower", "upper", "status", "reason", "held", "held_age_s", "window_s",

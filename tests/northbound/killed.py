@@ -7,7 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.peer import Batch
 from tests.northbound.supply import Archive, supplied
 from tests.storage.rows import batch

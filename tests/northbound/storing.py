@@ -6,8 +6,8 @@ import time
 from functools import partial
 from pathlib import Path
 
-from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
+from agent.config.sections.north import North
 from agent.northbound.forwarder import Forwarder
 from tests.northbound.supply import numbers, supplied
 from tests.scenario.live import wait_until

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.forwarder import Forwarder
 from agent.northbound.interface.peer import Batch, PeerError, Place
 from agent.northbound.kinds import make_peer

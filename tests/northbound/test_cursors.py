@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.peer import Batch
 from agent.northbound.position import MOST_GAPS, Position
 from agent.storage.read.forward import Feed

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from agent.cli.app import app
 from agent.cli.prognosis.fleet import fleet
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.errors import UsageError
 from agent.northbound.interface.peer import Place
 from agent.northbound.parquet.peer import ParquetPeer

@@ -12,8 +12,8 @@ import pytest
 from paho.mqtt.client import Client, MQTTv5
 from paho.mqtt.enums import CallbackAPIVersion
 
-from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
+from agent.config.sections.north import North
 from agent.storage.read import queries
 from tests.northbound.line import certificates, disturb, line_to, mosquitto
 from tests.northbound.supply import events, numbers, supplied

@@ -9,7 +9,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from agent.cli.app import app
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.peer import Batch, Place
 from agent.northbound.parquet.peer import ParquetPeer
 from agent.storage.read.forward import Feed

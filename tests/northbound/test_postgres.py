@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from agent.cli.app import app
 from agent.cli.prognosis.fleet import fleet
-from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
+from agent.config.sections.north import North
 from agent.errors import UsageError
 from agent.northbound.interface.peer import Place
 from agent.northbound.postgres.peer import PostgresPeer

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from paho.mqtt.client import Client, MQTTv5
 from paho.mqtt.enums import CallbackAPIVersion
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.sparkplug.payload import BOOLEAN, DOUBLE, INT64, STRING, Metric, commands, encode
 from agent.northbound.sparkplug.wire import fields, varint
 from agent.storage.write.store import Store

@@ -7,7 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.notification.message import Message
 from tests.notification.targets import agent
 from tests.storage.rows import step

@@ -9,7 +9,7 @@ import sys
 import threading
 from pathlib import Path
 
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from tests.notification.targets import LATE_S, agent
 from tests.storage.rows import START, step
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from aiosmtpd.controller import Controller
 
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.notification.notifier import Notifier
 from agent.notification.routing import concerns
 from agent.storage.write.store import Store

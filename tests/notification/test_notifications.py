@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.errors import StoreError
 from agent.notification.message import Message
 from agent.notification.routing import concerns

@@ -11,7 +11,7 @@ import pytest
 from agent.cli.operator import notify
 from agent.config import load
 from agent.config.reading.secrets import Secret
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.errors import ConfigError
 from agent.notification.message import message_of
 from agent.notification.routing import quiet_s

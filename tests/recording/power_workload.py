@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from agent.recording.recorder import Limits, Recorder
-from agent.types import EventRecord, Record
+from agent.records import EventRecord, Record
 from drivers.port import SampleBlock
 from tests.recording.test_capture_on_can import HEADER, kept, random_frames
 from tests.recording.test_event_writer import job, made

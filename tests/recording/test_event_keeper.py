@@ -12,7 +12,8 @@ from agent.recording import events
 from agent.recording.event_files import table_of
 from agent.recording.event_writer import Job
 from agent.recording.events import EventKeeper
-from agent.types import AlarmTransition, HealthEvent, IntArray, Record
+from agent.records import HealthEvent, Record
+from agent.types import AlarmTransition, IntArray
 from drivers.port import SampleBlock
 from tests.scenario.live import example
 

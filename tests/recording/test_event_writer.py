@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.config.results.tables import Events
+from agent.config.sections.results import Events
 from agent.recording import event_writer
 from agent.recording.blocks import read_blocks, read_header
 from agent.recording.event_files import EventFolder, Labels, Taken, read_meta
 from agent.recording.event_writer import EventWriter, Facts, Job
-from agent.types import EventRecord, HealthEvent, Record
+from agent.records import EventRecord, HealthEvent, Record
 from drivers.port import SampleBlock
 
 START = 1_767_225_600_000_000_001

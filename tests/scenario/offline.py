@@ -13,8 +13,9 @@ from agent.config import RigConfig, load
 from agent.evaluation.demo.bus import COARSE, FINE, Wire, write_config
 from agent.numerics.fitting.information import bound_sd, window_information
 from agent.numerics.model.statespace import discretise
+from agent.records import Record
 from agent.runtime.pipeline import Pipeline
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, Record, Status
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status
 from drivers.port import SampleBlock
 from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario

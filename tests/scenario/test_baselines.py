@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from agent.commissioning.baseline.learn import Stretch, learn
+from agent.records import Baseline, HealthEvent, Record
 from agent.runtime.replay import replay
 from agent.runtime.rig_runtime import RigRuntime
 from agent.storage.maintenance import store_baselines
-from agent.types import Baseline, HealthEvent, Record
 from tests.scenario.live import agent, example, rows, wait_until
 from tests.scenario.test_bad_input import configuration
 from tests.sim.rigs import simulator

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from agent.config import RigConfig, load
+from agent.records import Health, Record, RunInfo
 from agent.runtime import rig_runtime
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, Use
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
-from agent.types import Health, Record, RunInfo
 from drivers.port import Counts
 from tests.scenario.live import example, rows
 from tests.scenario.test_isolation import blocks

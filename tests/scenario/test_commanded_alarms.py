@@ -11,13 +11,13 @@ import pytest
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
 from agent.config import load
+from agent.records import RunInfo
 from agent.runtime.process.announcing import announce
 from agent.runtime.rig_runtime import RigRuntime
 from agent.storage.operations import command_alarms
 from agent.storage.write.alarm_commands import Request
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import RunInfo
 from drivers.reconnect import LinkEvent
 from tests.peers import ROOT
 from tests.storage.rows import select

@@ -11,15 +11,16 @@ from agent.blocks.covariates.compensation import Compensation
 from agent.blocks.covariates.means import CovariateMeans
 from agent.blocks.level_alarms import LevelAlarms
 from agent.config import Alarm, load
-from agent.config.covariates.tables import Covariate
+from agent.config.sections.covariates import Covariate
 from agent.numerics.reference.covariates.dependence import Dependence, written
+from agent.records import Baseline, CovariateMean, Health, Record
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.replay import replay
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, Use
 from agent.storage.maintenance import store_baselines
 from agent.storage.write.store import Store
-from agent.types import Baseline, CovariateMean, EstimateBatch, Health, Record
+from agent.types import EstimateBatch
 from drivers.port import Counts, SampleBlock
 from tests.scenario.live import rows
 from tests.scenario.test_bad_input import configuration

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.evaluation.score.play import Outcome, open_bench, play
-from agent.types import CovariateMean
+from agent.records import CovariateMean
 from tests.peers import ROOT
 
 HALL = """

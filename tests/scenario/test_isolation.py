@@ -10,20 +10,11 @@ import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
+from agent.records import Health, HealthEvent, Record
 from agent.runtime.limits import PAUSE_NS
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.service import Service
-from agent.types import (
-    AlarmTransition,
-    EstimateBatch,
-    Health,
-    HealthEvent,
-    Reason,
-    Record,
-    SensorEvent,
-    SensorFault,
-    Status,
-)
+from agent.types import AlarmTransition, EstimateBatch, Reason, SensorEvent, SensorFault, Status
 from drivers.port import FloatArray, SampleBlock
 from tests.scenario.live import example, free_port, rows
 from tests.scenario.test_service import renamed

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from agent.config import load
+from agent.records import Record
 from agent.runtime.pipeline import Pipeline
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, Record, Status
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status
 from drivers.port import SampleBlock
 from sim_bus.rig.rigfile import checked, read_rig
 from sim_bus.rig.scenario import Scenario

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from agent.config import load
+from agent.records import HealthEvent, Record
 from agent.runtime.pipeline import Pipeline
-from agent.types import EstimateBatch, FloatArray, HealthEvent, IntArray, Reason, Record, Status
+from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Status
 from drivers.port import SampleBlock
 from tests.scenario.two_sources import STEPS, TRUTH, configure, readings
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.types import ConditionsRecord, EstimateBatch, Status
+from agent.records import ConditionsRecord
+from agent.types import EstimateBatch, Status
 from tests.scenario.test_linear_rigs import play
 
 RIG = """

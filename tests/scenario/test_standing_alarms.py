@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from agent.config import load
+from agent.records import Record, RunInfo
 from agent.runtime.rig_runtime import RigRuntime
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import AlarmTransition, Record, RunInfo
+from agent.types import AlarmTransition
 from drivers.reconnect import LinkEvent
 from tests.peers import ROOT
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from agent.config import RigConfig, load
+from agent.records import HealthEvent, Record
 from agent.runtime.pipeline import Pipeline
-from agent.types import EstimateBatch, FloatArray, HealthEvent, Record, Status
+from agent.types import EstimateBatch, FloatArray, Status
 from drivers.port import SampleBlock
 from sim_bus.rig.excitation import Force
 from sim_bus.rig.rigfile import read_rig

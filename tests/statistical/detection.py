@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.records import Record
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.replay import SOURCE, make_pipeline
-from agent.types import AlarmTransition, FloatArray, Record
+from agent.types import AlarmTransition, FloatArray
 from drivers.port import SampleBlock
 from tests.statistical.machine import NAMES, SECOND, Machine, configuration, fresh, on_second
 from tests.statistical.operation import LOADS_N, NOISE_M, drive

@@ -7,8 +7,9 @@ from functools import partial
 import numpy as np
 from scipy.signal import lfilter
 
+from agent.records import Record
 from agent.runtime.replay import SOURCE, make_pipeline
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, Record, Status, Verdict
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status, Verdict
 from drivers.port import SampleBlock
 from tests.statistical.chains import DRIVEN, FELT, ONE, SHAKEN, SLOW, SMALL, THREE, TWO, Chain
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, IntArray, Reason, Record, Status
+from agent.records import Record
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, IntArray, Reason, Status
 from tests.statistical.chains import TWO, Chain
 from tests.statistical.nearly_right import Case, Play, records
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, Record, Status
+from agent.records import HealthEvent, Record
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status
 from tests.statistical.detection import pipeline, records
 from tests.statistical.machine import NOMINAL, SECOND, Machine, each, on_second, say
 from tests.statistical.operation import NOISE_M, drive

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, Reason, Record, Status
+from agent.records import HealthEvent, Record
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, Reason, Status
 from tests.statistical.detection import pipeline, records
 from tests.statistical.machine import NOMINAL, SECOND, Machine, each, on_second, say
 from tests.statistical.operation import NOISE_M, drive

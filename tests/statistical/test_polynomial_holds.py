@@ -8,8 +8,9 @@ import pytest
 
 from agent.blocks.estimation import FAILURE
 from agent.config import load
+from agent.records import HealthEvent
 from agent.runtime.replay import SOURCE, make_pipeline
-from agent.types import EstimateBatch, FloatArray, HealthEvent, Status
+from agent.types import EstimateBatch, FloatArray, Status
 from drivers.port import SampleBlock
 
 RATE_HZ, SAMPLES, WINDOW = 100.0, 1600, 400

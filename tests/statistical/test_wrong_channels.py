@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from agent.blocks.constants_watch import SOURCE as MODEL
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, HealthEvent, Status
+from agent.records import HealthEvent
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status
 from sim_bus.rig.plant import Hold
 from tests.statistical.chains import TWO
 from tests.statistical.detection import pipeline, records

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.blocks.constants_watch import SOURCE as MODEL
+from agent.records import HealthEvent
 from agent.runtime.replay import make_pipeline
-from agent.types import AlarmTransition, EstimateBatch, HealthEvent, Status
+from agent.types import AlarmTransition, EstimateBatch, Status
 from tests.statistical.detection import records
 from tests.statistical.machine import MASSES, SECOND, configuration, fresh
 from tests.statistical.operation import NOISE_M

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from agent.records import Health, RunInfo
 from agent.storage.database.connect import connect_reader
-from agent.types import AlarmTransition, EstimateBatch, Health, Reason, RunInfo, Status, Verdict
+from agent.types import AlarmTransition, EstimateBatch, Reason, Status, Verdict
 
 START = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 HOP = 50_000_000

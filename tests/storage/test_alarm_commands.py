@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 
 from agent.errors import StoreError
+from agent.records import ClockRecord
 from agent.storage.operations import command_alarms
 from agent.storage.tables.shelves import Moment
 from agent.storage.write.alarm_commands import Request, carry_out, expire_shelves
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import AlarmTransition, ClockRecord
+from agent.types import AlarmTransition
 from tests.storage.rows import START, batch, run_info, select, step
 
 HOUR = 3600 * 10**9

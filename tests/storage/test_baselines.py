@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from agent.errors import StoreError
+from agent.records import Baseline
 from agent.storage import maintenance
 from agent.storage.recovery.salvage import recover
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import Baseline
 from tests.storage.rows import START, batch, run_info, select
 
 GRAPH = "spring k1 ground-m1"

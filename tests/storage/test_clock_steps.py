@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from agent.clock import SampleLabels
+from agent.records import ClockRecord, RunInfo
 from agent.storage.read import queries
 from agent.storage.read.points import points_of
 from agent.storage.tables.ages import Part, shifts
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
-from agent.types import ClockRecord, RunInfo
 from tests.storage.rows import START, batch, ledger, select
 
 SECOND = 10**9

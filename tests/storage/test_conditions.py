@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from agent.records import ConditionsRecord
 from agent.storage import maintenance
 from agent.storage.read import queries
 from agent.storage.write.store import Store
-from agent.types import ConditionsRecord, WindowConditions
+from agent.types import WindowConditions
 from tests.storage.rows import START, run_info, select
 
 EARLIER = Path(__file__).parent / "fixtures" / "version-7.db.gz"

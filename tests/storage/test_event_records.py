@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from agent.errors import StoreError
+from agent.records import EventRecord
 from agent.storage import maintenance
 from agent.storage.database.connect import connect_reader
 from agent.storage.database.schema import SCHEMA_VERSION
 from agent.storage.read import queries
 from agent.storage.write.store import Store
-from agent.types import EventRecord
 from tests.storage.rows import START, batch, run_info, select, step
 
 FIRST_VERSION = Path(__file__).parent / "fixtures" / "version-1.db.gz"

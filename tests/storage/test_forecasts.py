@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+from agent.records import ForecastRecord, ForecastScore, TrendRecord
 from agent.storage import maintenance
 from agent.storage.read import queries
 from agent.storage.write.log_bounds import purge_logs
 from agent.storage.write.store import Store
-from agent.types import ForecastRecord, ForecastScore, TrendRecord
 from tests.storage.rows import START, batch, run_info, select
 
 EARLIER = sorted((Path(__file__).parent / "fixtures").glob("version-*.db.gz"))

@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
+from agent.records import LearntRecord, RunInfo
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import Learnt, LearntRecord, RunInfo
+from agent.types import Learnt
 from tests.storage.rows import START, run_info, select
 
 VERSION_4 = Path(__file__).parent / "fixtures" / "version-4.db.gz"

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from agent.records import Health
 from agent.storage.write.store import Store
-from agent.types import Health
 from tests.storage.rows import START, ledger, run_info, select
 
 WHAT = "SELECT source, t_ns, received, lag_s FROM v_health ORDER BY source, t_ns"

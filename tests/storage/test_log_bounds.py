@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from agent.records import EventRecord, HealthEvent
 from agent.storage.database.verify import problems
 from agent.storage.read import queries
 from agent.storage.write.log_bounds import KEPT, purge_logs
 from agent.storage.write.store import Store
-from agent.types import EventRecord, HealthEvent
 from tests.storage.rows import START, batch, run_info, step
 
 SECOND = 10**9

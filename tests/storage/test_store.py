@@ -11,13 +11,14 @@ import pytest
 from scipy.special import stdtrit
 
 from agent.errors import StoreError
+from agent.records import HealthEvent, LearntRecord, SourceClock
 from agent.storage.database import connect
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.columns import columns_of, numbers_crc
 from agent.storage.database.schema import APPLICATION_ID, SCHEMA_VERSION, version_mark
 from agent.storage.read import queries
 from agent.storage.write.store import Store
-from agent.types import EstimateBatch, HealthEvent, Learnt, LearntRecord, Reason, SourceClock, Status
+from agent.types import EstimateBatch, Learnt, Reason, Status
 from tests.storage.rows import HOP, PARAMETERS, START, batch, ledger, run_info, select, step, verdict, warming
 
 CONTRACT = {

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from agent.records import Record
 from agent.storage.write.decimation import Thinner
-from agent.types import AlarmTransition, EstimateBatch, Record
+from agent.types import AlarmTransition, EstimateBatch
 from tests.storage.rows import HOP, START, batch, ledger, step
 
 SECOND = 10**9

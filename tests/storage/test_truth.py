@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from agent.errors import AgentError, StoreError
+from agent.records import ClockRecord, EventRecord, RunInfo
 from agent.storage import maintenance
 from agent.storage.database.files import beside
 from agent.storage.database.schema import own_schema
@@ -22,7 +23,6 @@ from agent.storage.read import queries
 from agent.storage.read.points import points_of
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
-from agent.types import ClockRecord, EventRecord, RunInfo
 from tests import peers
 from tests.figures import figure
 from tests.storage.rows import START, batch, ledger, run_info, step, warming

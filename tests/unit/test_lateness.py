@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from agent.config import load
+from agent.records import HealthEvent, Record
 from agent.runtime import rig_runtime
 from agent.runtime.pending import Lateness
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, Use
-from agent.types import AlarmTransition, HealthEvent, Record
+from agent.types import AlarmTransition
 from drivers.port import Counts
 from tests.scenario.live import example
 from tests.scenario.test_isolation import blocks

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.records import ForecastRecord, ForecastScore
 from agent.storage.write.store import Store
-from agent.types import ForecastRecord, ForecastScore, Reason, Status
+from agent.types import Reason, Status
 from tests.storage.rows import HOP, batch, ledger, run_info, step, verdict
 
 DAY = 86_400 * 10**9

@@ -9,8 +9,9 @@ import numpy as np
 from PIL import Image
 from selenium import webdriver
 
+from agent.records import ForecastRecord
 from agent.storage.write.store import Store
-from agent.types import ForecastRecord, Reason, Status
+from agent.types import Reason, Status
 from tests import peers
 from tests.storage.rows import batch, ledger, run_info, step, verdict
 from tests.web import files

@@ -8,8 +8,8 @@ import pytest
 from agent.cli.glance.files import several
 from agent.cli.glance.state import overview
 from agent.commissioning.baseline.learn import Stretch, learn
+from agent.records import CovariateMean
 from agent.storage.write.store import Store
-from agent.types import CovariateMean
 from tests.storage.rows import START, run_info
 from tests.unit.commissioning.test_covariates import DAYS, GRAPH, MINUTE, RIG, stored, swings
 

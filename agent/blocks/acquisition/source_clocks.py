@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from agent.blocks.acquisition.interface import SourceState
 from agent.numerics.preprocessing.drift import ClockFit, Drift
-from agent.types import SourceClock
+from agent.records import SourceClock
 
 
 @dataclass(slots=True)

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from agent.alarms.life_cycle import Alarm, Cause, cause_of, is_needless
-from agent.types import AlarmKind, AlarmTransition, Record
+from agent.records import Record
+from agent.types import AlarmKind, AlarmTransition
 
 
 class AlarmStates:

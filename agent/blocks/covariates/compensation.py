@@ -18,7 +18,8 @@ from agent.numerics.reference.covariates.dependence import (
     widened,
 )
 from agent.numerics.reference.covariates.lags import PERIOD_S, LagFilter, newest_period
-from agent.types import Baseline, EstimateBatch, HealthEvent
+from agent.records import Baseline, HealthEvent
+from agent.types import EstimateBatch
 
 SOURCE, UNSURE, SURE = "baseline", "covariate", "recovered"
 """What events of references that are less well known, and of those that are again, are called."""

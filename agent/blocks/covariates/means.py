@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.config.covariates.tables import Covariate
+from agent.config.sections.covariates import Covariate
 from agent.numerics.reference.covariates.lags import CLOSED, PERIOD_NS
-from agent.types import CovariateMean, FloatArray, IntArray
+from agent.records import CovariateMean
+from agent.types import FloatArray, IntArray
 
 MEMORY = 7200
 """Periods that are remembered (five days): a lag of 21 h has forgotten what came before but for 0.3 %."""

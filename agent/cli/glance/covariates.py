@@ -6,8 +6,8 @@ from typing import Any
 
 from agent.blocks.covariates.compensation import dependences
 from agent.numerics.reference.covariates.dependence import Dependence
+from agent.records import Baseline, CovariateMean
 from agent.text import ahead, behind, number
-from agent.types import Baseline, CovariateMean
 
 LATE_S = 120.0
 """A mean is of a minute that is over, and is committed some time later."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 from agent.cli.terminal.output import print_rows, print_table, show
 from agent.clock import wall_ns
 from agent.config import RigConfig, load
-from agent.config.results.tables import Notify
+from agent.config.sections.results import Notify
 from agent.errors import UsageError
 from agent.notification.message import Message, message_of
 from agent.notification.senders import SendError, send

@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 
 from agent.commissioning.baseline.target import Target
-from agent.config.covariates.tables import BaselineTable
+from agent.config.sections.covariates import BaselineTable
 from agent.errors import Fault
 from agent.numerics.reference.covariates.dependence import Dependence
 from agent.numerics.reference.covariates.lags import PERIOD_S, Lag, Series, newest_period, series

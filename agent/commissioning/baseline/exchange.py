@@ -12,9 +12,9 @@ from agent.blocks.rig_model import estimated
 from agent.commissioning.baseline.target import Target, target_of
 from agent.errors import Fault, UsageError
 from agent.numerics.reference.covariates.dependence import Dependence
+from agent.records import Baseline
 from agent.storage import maintenance
 from agent.storage.read import baselines, queries
-from agent.types import Baseline
 
 FORM = "deltak baselines"
 VERSION = 1

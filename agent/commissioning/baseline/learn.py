@@ -14,15 +14,15 @@ import numpy as np
 
 from agent.commissioning.baseline.covariates import Ready, depends, known_rows, read, same, taken_out, unready
 from agent.commissioning.baseline.target import Target, target_of
-from agent.config.covariates.tables import BaselineTable
+from agent.config.sections.covariates import BaselineTable
 from agent.errors import Fault, UsageError
 from agent.numerics.reference.covariates.dependence import written
 from agent.numerics.reference.spread import periods, spread
+from agent.records import Baseline
 from agent.storage import maintenance
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.text import number, percent
-from agent.types import Baseline
 
 LEAST_PERIODS = 24
 """Periods that a baseline needs: the spread of fewer is known to no better than a fifth."""

@@ -11,9 +11,9 @@ from agent.commissioning.baseline.target import Target, configured, target_of
 from agent.config import Alarm, RigConfig
 from agent.errors import Fault, StoreError, UsageError
 from agent.numerics.reference.limits import Healthy, false_per_year, proposed
+from agent.records import Baseline
 from agent.storage.read import baselines, queries
 from agent.text import number
-from agent.types import Baseline
 
 RECENT = ("10m", "1d", None)
 """How far back rows are looked at for their sd and window: no farther than there are some."""

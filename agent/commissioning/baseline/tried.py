@@ -17,9 +17,10 @@ from agent.blocks.rig_model import estimated
 from agent.commissioning.baseline.target import target_of
 from agent.config import Alarm, RigConfig, load
 from agent.errors import UsageError
+from agent.records import Baseline
 from agent.storage.read import baselines, queries
 from agent.text import iso_time
-from agent.types import AlarmTransition, Baseline, EstimateBatch, FloatArray, Status
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status
 
 Row = Mapping[str, Any]
 NEAR_NS = 10_000_000_000

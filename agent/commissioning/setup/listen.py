@@ -18,8 +18,8 @@ from agent.commissioning.limits import TURN_S
 from agent.commissioning.probe import OPEN_ADVICE, require_sources
 from agent.commissioning.readings import Gathering
 from agent.config import RigConfig, load
-from agent.config.covariates.tables import Covariate
 from agent.config.model.tables import Channel
+from agent.config.sections.covariates import Covariate
 from agent.config.tables import Source
 from agent.errors import BusError, Fault
 from agent.runtime.sources import Arrival, Connection, Use, connect, part

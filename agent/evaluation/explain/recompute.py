@@ -12,8 +12,9 @@ import numpy as np
 from agent.config import RigConfig
 from agent.recording.event_files import Labels, Taken, state_name
 from agent.recording.states import Rounds, StateError, thawed
+from agent.records import Record
 from agent.runtime.pipeline import Pipeline
-from agent.types import AlarmTransition, EstimateBatch, FloatArray, IntArray, Record, Verdict
+from agent.types import AlarmTransition, EstimateBatch, FloatArray, IntArray, Verdict
 from drivers.port import SampleBlock
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from agent.blocks.rig_model import hop_plan
 from agent.evaluation.score.match import Matched, Played, match, played
 from agent.evaluation.score.play import Outcome
-from agent.types import AlarmTransition, BoolArray, EstimateBatch, FloatArray, HealthEvent, IntArray, Status
+from agent.records import HealthEvent
+from agent.types import AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray, Status
 
 _GOOD_NEWS = frozenset({"recovered", "restarted", "error-active"})
 _GRACE_S = 0.5

@@ -17,10 +17,11 @@ from typing import Any, Protocol
 from agent.config import RigConfig, driver_class, load
 from agent.config.tables import Source
 from agent.errors import Fault, UsageError
+from agent.records import Health, Record
 from agent.runtime.ledger import Conservation
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.sources import Arrival, use_of
-from agent.types import Health, Record, Samples
+from agent.types import Samples
 from drivers.port import Driver, SourceRequest
 from drivers.reconnect import ReconnectingDriver
 

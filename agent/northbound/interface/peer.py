@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from agent.config.north.tables import North
 from agent.config.reading.secrets import Secret
+from agent.config.sections.north import North
 
 Row = Mapping[str, Any]
 

@@ -20,7 +20,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.certificate import refuse_expired
 from agent.northbound.interface.peer import Credentials, PeerError, Place
 

@@ -10,7 +10,7 @@ import math
 import re
 from typing import Any, Final
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.peer import Batch, Place, Row
 from agent.northbound.mqtt.connection import Connection, client_id_of
 from agent.northbound.mqtt.discovery import Discovery

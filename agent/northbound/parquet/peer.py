@@ -14,7 +14,7 @@ from typing import Any, Final
 import pyarrow as arrow  # noqa: ICN001 - a word
 from pyarrow import parquet
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.layout import COLUMNS, NAMES
 from agent.northbound.interface.peer import Batch, PeerError, Place, Row
 

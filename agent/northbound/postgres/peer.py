@@ -14,7 +14,7 @@ from typing import Any, Final
 import psycopg
 from psycopg import sql
 
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.certificate import refuse_expired
 from agent.northbound.interface.layout import COLUMNS, NAMES, STEADY
 from agent.northbound.interface.peer import Batch, Credentials, PeerError, Place

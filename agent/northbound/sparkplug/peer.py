@@ -13,7 +13,7 @@ from typing import Final
 
 from agent import __version__
 from agent.clock import wall_ns
-from agent.config.north.tables import North
+from agent.config.sections.north import North
 from agent.northbound.interface.peer import Batch, PeerError, Place, Row
 from agent.northbound.mqtt.connection import Connection
 from agent.northbound.sparkplug.metrics import Device, Reading, readings

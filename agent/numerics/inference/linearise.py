@@ -28,7 +28,7 @@ class Linearised:
 
     Attributes:
         theta: (q,) the point;  unit: (q,) size of a deviation of 1.
-        regression, cells, regressor: the window there.
+        regression, cells: the window there.
         G: Gram of all columns, residual last;  Si: S⁻¹;  ridge: the prior;  converged: it came to rest.
         repeats: factor on the variance, by readings that repeat one code.
     """

@@ -10,10 +10,11 @@ import numpy as np
 from agent.blocks.covariates.compensation import dependences
 from agent.numerics.reference.covariates.dependence import STRANGE, Dependence
 from agent.numerics.reference.covariates.lags import PERIOD_S, newest_period, series
+from agent.records import Baseline
 from agent.storage.read import baselines, covariates
 from agent.storage.read.covariates import Means
 from agent.storage.read.points import Points
-from agent.types import Baseline, FloatArray
+from agent.types import FloatArray
 
 BEFORE_NS = 5 * 86_400 * 10**9
 """How long before the rows covariates matter: five times the longest lag."""

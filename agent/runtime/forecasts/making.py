@@ -18,13 +18,13 @@ from agent.prognosis.history import DAY_NS, History
 from agent.prognosis.learnt import Learnt
 from agent.prognosis.passage import FARTHEST
 from agent.prognosis.steps import events, find_steps, without
+from agent.records import ForecastRecord, HealthEvent, Record, TrendRecord
 from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import common_sd, history_of, like_machines, window_s
 from agent.runtime.forecasts.scoring import scores_of
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.text import iso_time
-from agent.types import ForecastRecord, HealthEvent, Record, TrendRecord
 
 SOURCE, FAILURE = "forecast", "failure"
 """What events of forecasts that could not be made are called."""

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agent.config import RigConfig
+from agent.records import Record
 from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
-from agent.types import EstimateBatch, Record
+from agent.types import EstimateBatch
 
 if TYPE_CHECKING:
     from agent.runtime.forecasts.making import Forecaster, Made

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Iterable
 
-from agent.types import AlarmTransition, Record
+from agent.records import Record
+from agent.types import AlarmTransition
 
 DUE, ALARM = "due", "alarm"
 _MOST = 100

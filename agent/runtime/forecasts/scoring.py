@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from agent.prognosis.crossing import beyond, score
-from agent.types import FloatArray, ForecastScore, IntArray
+from agent.records import ForecastScore
+from agent.types import FloatArray, IntArray
 
 Row = Mapping[str, Any]
 """A row of v_forecast."""

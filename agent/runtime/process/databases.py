@@ -8,13 +8,14 @@ from agent import __version__
 from agent.blocks.graph import graph_of
 from agent.clock import boot_id, monotonic_ns, wall_ns
 from agent.config import RigConfig, learnt_key
+from agent.records import Baseline, CovariateMean, Record, RunInfo
 from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.notifications import Route, nobody
 from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import AlarmTransition, Baseline, CovariateMean, Learnt, Record, RunInfo
+from agent.types import AlarmTransition, Learnt
 
 RunKind = Literal["live", "demo"]
 

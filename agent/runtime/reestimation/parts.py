@@ -11,10 +11,10 @@ from typing import NamedTuple
 from agent.config import RigConfig
 from agent.errors import Fault, RecordingError
 from agent.recording.source import OwnRecording
+from agent.records import Record
 from agent.runtime.playing import Playing
 from agent.runtime.reestimation.archive import Recorded
 from agent.runtime.replay import Known, adopted, begun, keep_freed_memory
-from agent.types import Record
 
 
 class First(NamedTuple):

@@ -72,7 +72,7 @@ def _registry(status: Document) -> Any:
 
 
 class HttpExporter:
-    """Answers GET /metrics at an address; without a password (see docs/metrics.md)."""
+    """Answers GET /metrics at an address; without a password (docs/configuration.md, [metrics])."""
 
     def __init__(self, listen: str, status: Document) -> None:
         from prometheus_client.exposition import start_http_server

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from agent.config import RigConfig
+from agent.records import Baseline
 from agent.runtime.exchange import Prepared
 from agent.runtime.process.memory import keep_heap_small
 from agent.runtime.process.service_manager import ServiceManager
@@ -36,7 +37,7 @@ from agent.runtime.workers.orders import (
     Order,
 )
 from agent.runtime.workers.piped import piped_writers
-from agent.types import AlarmTransition, Baseline
+from agent.types import AlarmTransition
 
 _ORPHAN_S: Final = 5.0
 """How long a worker whose agent ended may take to end."""

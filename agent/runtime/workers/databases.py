@@ -8,13 +8,14 @@ from typing import Final, TypeVar
 
 from agent.config import RigConfig
 from agent.errors import AgentError, StoreError
+from agent.records import Baseline
 from agent.runtime.process.databases import density_of, path_of, runs_of, writer_of
 from agent.runtime.rig_set import RigSet
 from agent.runtime.workers.losses import Losses, batches_of
 from agent.runtime.workers.piped import Batch, Facts, Runs
 from agent.storage.tables.notifications import nobody
 from agent.storage.write.writer import StoreWriter
-from agent.types import AlarmTransition, Baseline
+from agent.types import AlarmTransition
 
 _AGAIN_S: Final = 1.0
 """Until runs are begun again that a failing disk does not let begin."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.config import RigConfig
+from agent.records import Baseline, CovariateMean, Record, RunInfo
 from agent.runtime.process.databases import RunKind, path_of, runs_of
 from agent.runtime.workers.link import Link, Tell
 from agent.storage.tables.alarms import AlarmRow
@@ -15,7 +16,7 @@ from agent.storage.tables.notifications import Route
 from agent.storage.write.backlog import Backlog
 from agent.storage.write.command_socket import Handler
 from agent.storage.write.retention import Retention
-from agent.types import AlarmTransition, Baseline, CovariateMean, Learnt, Record, RunInfo
+from agent.types import AlarmTransition, Learnt
 
 RECORDS, BEGIN, LEFT = "records", "begin", "left"
 """Records to be stored; runs to be begun, in the place of others; runs that ended."""

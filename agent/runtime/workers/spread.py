@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from agent.config import RigConfig
-from agent.config.process.settings import agreed
+from agent.config.sections.process import agreed
 
 Places = Mapping[str, int]
 """The number of each rig's worker, from 1, by the rig's name."""

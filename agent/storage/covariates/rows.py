@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from math import isfinite
 from typing import Any
 
+from agent.records import CovariateMean
 from agent.storage.database.checksum import checked, with_crc
 from agent.storage.database.columns import columns_of, insert_sql
-from agent.types import CovariateMean
 
 Take = Callable[[str], int]
 """Gives the next number of a table."""

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
+from agent.records import Baseline
 from agent.storage.database.checksum import checked
 from agent.storage.read.proof import FIRST, LAST
 from agent.storage.read.queries import Rows, view_rows
 from agent.storage.read.selection import reading
 from agent.storage.tables.baselines import standing_baselines
-from agent.types import Baseline
 
 _GRAPHS = """SELECT x.seq, x.run_id, x.graph, x.crc FROM graphs x JOIN runs r ON r.seq = x.run_id
  JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ? AND EXISTS (SELECT 1 FROM hops h WHERE h.run_id = r.seq

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.records import CovariateMean
 from agent.storage.covariates.rows import means_of, newest_means
 from agent.storage.read.selection import reading
-from agent.types import CovariateMean, FloatArray, IntArray
+from agent.types import FloatArray, IntArray
 
 _MINUTE_NS = 60_000_000_000
 _EARLIEST, _LATEST = -(2**62), 2**62

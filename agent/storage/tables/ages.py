@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 
 from agent.clock import STEP_NS
-from agent.types import ClockRecord, RunInfo
+from agent.records import ClockRecord, RunInfo
 
 CONFIRMED_NS = 24 * 3600 * 10**9
 """A wall clock is confirmed once consecutive stamps cover so much running time, over more than one run."""

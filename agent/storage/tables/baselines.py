@@ -4,9 +4,9 @@ import sqlite3
 from collections.abc import Sequence
 from dataclasses import replace
 
+from agent.records import Baseline
 from agent.storage.database.checksum import checked
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.types import Baseline
 
 _OF_RIG = """SELECT b.seq, b.rig_id, b.parameter, b.unit, b.graph, b.reference, b.sd, b.spread_sd,
  b.within_sd,

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.clock import STEP_NS
+from agent.records import ClockRecord, RunInfo
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.types import ClockRecord, EstimateBatch, RunInfo
+from agent.types import EstimateBatch
 
 _MOST_ANCHORS = 1000
 

@@ -2,8 +2,8 @@
 
 import sqlite3
 
+from agent.records import EventRecord
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import EventRecord
 
 
 class EventRecordRows:

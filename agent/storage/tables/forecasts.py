@@ -3,9 +3,9 @@
 
 import sqlite3
 
+from agent.records import ForecastRecord, ForecastScore, TrendRecord
 from agent.storage.database.columns import columns_of
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import ForecastRecord, ForecastScore, TrendRecord
 
 _NAMES = columns_of("forecasts")[:-1]
 _ROW = f"SELECT {', '.join(_NAMES)} FROM forecasts WHERE seq = ?"

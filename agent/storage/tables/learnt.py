@@ -3,9 +3,9 @@
 import json
 import sqlite3
 
+from agent.records import LearntRecord
 from agent.storage.database.checksum import checked
 from agent.storage.tables.rows import Numbers, Plan
-from agent.types import LearntRecord
 
 _NEWEST = """SELECT c.seq, c.run_id, c.t_ns, c.key, c.content, c.crc
  FROM learnt c JOIN runs r ON r.seq = c.run_id JOIN rigs g ON g.seq = r.rig_id

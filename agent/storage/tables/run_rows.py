@@ -8,6 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from agent.records import (
+    ClockRecord,
+    ConditionsRecord,
+    CovariateMean,
+    EventRecord,
+    ForecastRecord,
+    ForecastScore,
+    Health,
+    HealthEvent,
+    LearntRecord,
+    Record,
+    RunInfo,
+    TrendRecord,
+)
 from agent.storage.tables.ages import jump_words
 from agent.storage.tables.alarms import AlarmRow, AlarmRows
 from agent.storage.tables.batches import joined_runs
@@ -19,23 +33,7 @@ from agent.storage.tables.forecasts import add_forecast, add_score, add_trend
 from agent.storage.tables.learnt import LearntRows
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.status import HealthRows, add_conditions, add_event, add_mean, add_verdict
-from agent.types import (
-    AlarmTransition,
-    ClockRecord,
-    ConditionsRecord,
-    CovariateMean,
-    EstimateBatch,
-    EventRecord,
-    ForecastRecord,
-    ForecastScore,
-    Health,
-    HealthEvent,
-    LearntRecord,
-    Record,
-    RunInfo,
-    TrendRecord,
-    Verdict,
-)
+from agent.types import AlarmTransition, EstimateBatch, Verdict
 
 _CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 

@@ -4,8 +4,9 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 
+from agent.records import ConditionsRecord, CovariateMean, Health, HealthEvent, SourceClock
 from agent.storage.tables.rows import Numbers, Plan, finite
-from agent.types import ConditionsRecord, CovariateMean, Health, HealthEvent, SourceClock, Verdict
+from agent.types import Verdict
 
 
 class HealthRows:

@@ -7,8 +7,9 @@ from math import ceil
 
 import numpy as np
 
+from agent.records import ClockRecord, Record
 from agent.storage.tables.batches import joined_runs
-from agent.types import AlarmTransition, ClockRecord, EstimateBatch, Record
+from agent.types import AlarmTransition, EstimateBatch
 
 SHORTEST_S, LONGEST_S = 0.2, 5.0
 _FEW = 64  # so many small batches are joined into one, so that waiting rows cost their bytes and little more

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.errors import StoreError
+from agent.records import Baseline
 from agent.storage.database.verify import problems
 from agent.storage.recovery.salvage import Recovery
 from agent.storage.tables.shelves import moment
@@ -14,7 +15,7 @@ from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.jobs import JobQueue
 from agent.storage.write.notifications import resend
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition, Baseline
+from agent.types import AlarmTransition
 
 
 class Listeners(NamedTuple):

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.records import Record
 from agent.storage.tables.batches import header_of, join
-from agent.types import AlarmTransition, EstimateBatch, IntArray, Record
+from agent.types import AlarmTransition, EstimateBatch, IntArray
 
 BEFORE_S = 10.0
 AFTER_S = 60.0

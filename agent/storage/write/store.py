@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from agent.errors import StoreError
+from agent.records import Baseline, ClockRecord, CovariateMean, HealthEvent, Record, RunInfo
 from agent.storage.covariates.rows import newest_means
 from agent.storage.database.columns import insert_rows
 from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
@@ -49,16 +50,7 @@ from agent.storage.tables.shelves import Shelf
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
-from agent.types import (
-    AlarmTransition,
-    Baseline,
-    ClockRecord,
-    CovariateMean,
-    HealthEvent,
-    Learnt,
-    Record,
-    RunInfo,
-)
+from agent.types import AlarmTransition, Learnt
 
 _COMMITS_A_CHECKPOINT = 300
 _CELLS_A_CHECKPOINT = 20_000

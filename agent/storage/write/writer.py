@@ -9,6 +9,7 @@ from typing import Any
 
 from agent.clock import wall_ns
 from agent.errors import StoreError
+from agent.records import Baseline, ClockRecord, CovariateMean, HealthEvent, Record, RunInfo
 from agent.storage.database.connect import cause_of, is_damage
 from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.rows import Plan
@@ -22,17 +23,7 @@ from agent.storage.write.jobs import Job, JobQueue
 from agent.storage.write.latency import Histogram
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store, outage
-from agent.types import (
-    AlarmTransition,
-    Baseline,
-    ClockRecord,
-    CovariateMean,
-    EstimateBatch,
-    HealthEvent,
-    Learnt,
-    Record,
-    RunInfo,
-)
+from agent.types import AlarmTransition, EstimateBatch, Learnt
 
 _DISK = (sqlite3.Error, OSError)
 _FAILURE = (*_DISK, StoreError)

@@ -10,8 +10,8 @@ import pytest
 
 from agent.commissioning.baseline.learn import Stretch, learn
 from agent.commissioning.baseline.limits import limits
+from agent.records import Baseline
 from agent.storage.read.baselines import standing
-from agent.types import Baseline
 from tests.statistical.covariates.year import DAY, PER_KELVIN, START, STEP_NS, K, Year, alarms, stored, year
 
 LEARNT_DAYS = 60

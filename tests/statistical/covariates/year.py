@@ -10,17 +10,10 @@ from agent.blocks.covariates.compensation import Compensation
 from agent.blocks.covariates.means import CovariateMeans
 from agent.blocks.level_alarms import LevelAlarms
 from agent.config import Alarm
-from agent.config.covariates.tables import Covariate
+from agent.config.sections.covariates import Covariate
+from agent.records import Baseline, CovariateMean
 from agent.storage.write.store import Store
-from agent.types import (
-    AlarmTransition,
-    Baseline,
-    BoolArray,
-    CovariateMean,
-    EstimateBatch,
-    FloatArray,
-    IntArray,
-)
+from agent.types import AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray
 from tests.storage.rows import START, batch, run_info
 
 K, PER_KELVIN, LAG_S = 25.0, -0.003, 7200.0

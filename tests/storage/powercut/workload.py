@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from agent.records import Record
 from agent.storage.database import connect
 from agent.storage.write import store as store_module
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
-from agent.types import Record
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step
 
 SECOND = 10**9

@@ -5,7 +5,7 @@ import pytest
 from agent.blocks.constants_watch import ConstantsWatch
 from agent.blocks.statistical_rig import statistical_rig
 from agent.numerics.inference.verdicts import Belief
-from agent.types import HealthEvent
+from agent.records import HealthEvent
 from tests.statistical.chains import DRIVEN, TWO
 
 DENIED = '[estimator.observer]\ngain = "kalman"\nprocess_sd = 0'

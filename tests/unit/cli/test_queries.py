@@ -22,9 +22,10 @@ from agent.cli.tables.queries import (
 )
 from agent.cli.terminal.errors import faults_of
 from agent.errors import UsageError
+from agent.records import RunInfo
 from agent.storage.read import queries
 from agent.storage.write.store import Store
-from agent.types import AlarmTransition, EstimateBatch, Reason, RunInfo, Status, Verdict
+from agent.types import AlarmTransition, EstimateBatch, Reason, Status, Verdict
 
 START = 1_770_000_000_000_000_000
 HOP_NS = 50_000_000

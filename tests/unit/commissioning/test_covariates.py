@@ -11,8 +11,9 @@ import pytest
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
+from agent.records import CovariateMean
 from agent.storage.write.store import Store
-from agent.types import CovariateMean, FloatArray
+from agent.types import FloatArray
 from tests.peers import ROOT
 from tests.storage.rows import START, batch, run_info, select
 

@@ -17,6 +17,7 @@ from agent.blocks.advisory.prognosis_alarms import PrognosisAlarms
 from agent.cli.prognosis.trend import document
 from agent.config import Forecast as Asked
 from agent.config import RigConfig
+from agent.records import ForecastRecord, ForecastScore, HealthEvent, Record, TrendRecord
 from agent.runtime.forecasts.making import Forecaster, Made
 from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.forecasts.schedule import Schedule
@@ -24,7 +25,7 @@ from agent.runtime.forecasts.thread import ForecastThread
 from agent.storage.read import queries
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
-from agent.types import EstimateBatch, ForecastRecord, ForecastScore, HealthEvent, Record, TrendRecord
+from agent.types import EstimateBatch
 from tests.storage.rows import START, batch, run_info, step
 from tests.unit.config.config_texts import PRESS, read, with_fake_driver
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from agent.config import load
+from agent.records import Health, Record
 from agent.runtime.ledger import Conservation
 from agent.runtime.pipeline import Pipeline, Prepared
 from agent.runtime.replay import SOURCE, make_pipeline
-from agent.types import FloatArray, Health, Record
+from agent.types import FloatArray
 from drivers.port import Counts, SampleBlock
 from tests.bench.scene import PERIOD
 from tests.unit.numerics.rigs import noisy

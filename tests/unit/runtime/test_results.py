@@ -6,9 +6,10 @@ import pytest
 
 from agent.blocks.constants_watch import SOURCE
 from agent.config import load
+from agent.records import HealthEvent
 from agent.runtime import results
 from agent.runtime.results import RunSummary
-from agent.types import AlarmTransition, HealthEvent
+from agent.types import AlarmTransition
 from tests.scenario.live import example
 
 

@@ -13,13 +13,14 @@ import pytest
 
 from agent.config import RigConfig, load, load_many
 from agent.errors import AgentError, ConfigError, Fault
+from agent.records import HealthEvent
 from agent.runtime.process.databases import density_of
 from agent.runtime.service import Service
 from agent.runtime.workers.link import Link, Tell
 from agent.runtime.workers.losses import Losses
 from agent.runtime.workers.piped import RECORDS, PipedWriter
 from agent.runtime.workers.spread import spread, wanted_workers
-from agent.types import EstimateBatch, HealthEvent
+from agent.types import EstimateBatch
 from tests.scenario.live import example
 from tests.storage.rows import batch
 

@@ -1,1 +1,0 @@
-"""Consumers beyond the gateway ([[north]]): their table."""

@@ -1,1 +1,0 @@
-"""The tables that say what becomes of results: kept, forecast, shown, sent."""

@@ -47,7 +47,7 @@ DELAY_SHEET = 0.25
 """Data-sheet sd of the input delay, samples, if unstated. Needed by: force not straight between samples."""
 CURVE_SHEET = 1.0
 """Prior sd of what a smooth force does beyond straight lines (1: all). Needed by: few samples a period."""
-CURVED_A_PERIOD = 40.0
+CURVED_A_PERIOD = 15.0
 """Samples a period of the fastest mode below which it is open: at 30 half an accelerometer's rows missed."""
 AS_CONFIGURED = 0.02
 """Hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""

@@ -48,7 +48,7 @@ DELAY_SHEET = 0.25
 CURVE_SHEET = 1.0
 """Prior sd of what a smooth force does beyond straight lines (1: all). Needed by: few samples a period."""
 CURVED_A_PERIOD = 15.0
-"""Samples a period of the fastest mode below which it is open. Needed by: 40 unknown machines (31 with 40)."""
+"""Samples a period of the fastest mode below which it is open. Needed by: unknown machines (31 of 40)."""
 AS_CONFIGURED = 0.02
 """Hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
 SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0)

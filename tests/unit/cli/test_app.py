@@ -270,7 +270,8 @@ def test_interrupt_while_libraries_are_imported_exits_130() -> None:
 @pytest.mark.parametrize(("command", "code"), [("run", 2), ("check", -signal.SIGHUP)])
 def test_hangup_while_libraries_are_imported_ends_no_agent(command: str, code: int, tmp_path: Path) -> None:
     script = (
-        "import signal, sys\nclass HungUp:\n    def find_spec(self, name, path, target=None):\n"
+        "import signal, sys\nsignal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored\n"
+        "class HungUp:\n    def find_spec(self, name, path, target=None):\n"
         "        if name == 'agent.cli.app':\n            signal.raise_signal(signal.SIGHUP)\n"
         "sys.meta_path.insert(0, HungUp())\nfrom agent.cli.entry import main\nmain()\n"
     )

@@ -8,7 +8,7 @@ docs/identify.md.
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -187,7 +187,10 @@ class _Search:
         )
         _, settings, windows = windowed(point, self.records, self.window)
         theta = np.array([here.get(name, 0.0) for name in self.names])
-        costs, scatter = costs_of(settings.rig, windows, said, theta, settings.floor)
+        # open is what was open in the fit: whether smooth forces are followed hangs on a graph's fastest mode
+        fitted = windowed(config, self.records, self.window)[1].rig
+        rig = replace(settings.rig, constants=fitted.constants)
+        costs, scatter = costs_of(rig, windows, said, theta, settings.floor)
         return Selector(costs, elective(self.names, self.full), scatter)
 
     def _zeroed(self, begun: RigConfig) -> RigConfig:

@@ -182,11 +182,7 @@ def costs_of(
     The noise is that which was learnt with fewer; constants stand where they were found.
     """
     learner = Learner(rig, windows[0].length, len(floor), floor)
-    # the last constant, what smooth forces do between samples, is open in fast graphs alone
-    eta = np.zeros(len(rig.constants))
-    shared = min(len(eta), len(said.known.eta))
-    eta[:shared] = said.known.eta[:shared]
-    found = _Sum.of(learner, windows, replace(said.known, theta=theta, eta=eta))
+    found = _Sum.of(learner, windows, replace(said.known, theta=theta))
     return found.costs, found.scatter
 
 

@@ -14,7 +14,8 @@ from agent.numerics.estimator.record import Record
 from agent.numerics.inference import tuning
 from agent.numerics.inference.channels import ChannelTest, Contest, Fault
 from agent.numerics.inference.learner import Learner
-from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.noise.state import Noise
+from agent.numerics.inference.noise.tuning import ACTIVE_NODES
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.preprocessing.noise import sensor_noise
@@ -118,9 +119,7 @@ class Faults:
         """Name an input that held one value through a first window whose motion asks for unknown forces."""
         self.over(newest)
         forces = np.array([source.kind == "force" for source in self.learner.sources], dtype=bool)
-        asked = noise.is_started and np.any(
-            (noise.intensity > tuning.ACTIVE_NODES * noise.nodes[:, 0]) & forces
-        )
+        asked = noise.is_started and np.any((noise.intensity > ACTIVE_NODES * noise.nodes[:, 0]) & forces)
         for fault in self._standing_inputs(record, newest, self.learner.window)[: int(asked)]:
             self._set(newest, fault)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.numerics.inference.constants import Constants, Hypothesis
-from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.scatter import Scatter
 

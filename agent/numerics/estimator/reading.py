@@ -8,7 +8,7 @@ import numpy as np
 from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.operating_point import OperatingPoint
 from agent.numerics.inference.mixture import NORMAL_975
-from agent.numerics.inference.noise import chance, louder
+from agent.numerics.inference.noise.state import chance, louder
 from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed

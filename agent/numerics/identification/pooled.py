@@ -17,7 +17,7 @@ import numpy as np
 from agent.numerics.identification.first_noise import Progress, first_noise
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
-from agent.numerics.inference.noise import NoiseFit, Ridge
+from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window

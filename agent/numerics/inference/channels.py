@@ -20,7 +20,7 @@ import numpy as np
 from agent.numerics.inference import tuning
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
-from agent.numerics.inference.noise import chance
+from agent.numerics.inference.noise.state import chance
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import unitary

@@ -12,9 +12,12 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants, hypotheses_of
 from agent.numerics.inference.friction import column, friction
 from agent.numerics.inference.linearise import Linearised, Lineariser
-from agent.numerics.inference.lines import with_lines
 from agent.numerics.inference.mixture import NORMAL_975, interval95
-from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, chance, first_nodes, learn, louder
+from agent.numerics.inference.noise.after_window import learn
+from agent.numerics.inference.noise.intensities import first_nodes
+from agent.numerics.inference.noise.lines import with_lines
+from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
+from agent.numerics.inference.noise.state import Noise, chance, louder
 from agent.numerics.inference.posterior import Knowledge, Line, Posterior
 from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio, widened
 from agent.numerics.inference.spectral.algebra import inverse, quadratic

@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.noise import Noise, NoiseFit, Ridge, layout_free
+from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge, layout_free
+from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown

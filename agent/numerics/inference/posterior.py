@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants
-from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.scatter import Scatter
 from agent.types import FloatArray
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.numerics.inference.lines import between
+from agent.numerics.inference.noise.lines import between
 
 
 @pytest.mark.parametrize("cycles", [40.0, 40.2, 40.45, 39.8, 39.55])

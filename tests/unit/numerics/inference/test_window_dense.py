@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
-from agent.numerics.inference.noise import NoiseFit
+from agent.numerics.inference.noise.restricted_likelihood import NoiseFit
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window, window_of

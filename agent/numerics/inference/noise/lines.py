@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.numerics.inference import tuning
-from agent.numerics.inference.noise import Noise
+from agent.numerics.inference.noise import tuning
+from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.spectral.columns import Regression
 from agent.numerics.inference.spectral.covariance import Cells
 from agent.types import FloatArray, IntArray

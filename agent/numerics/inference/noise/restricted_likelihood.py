@@ -1,0 +1,205 @@
+"""Restricted likelihood of one window's noise: scoring of σ and levels, and of all variances at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.numerics.inference.noise.state import Noise
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant
+from agent.numerics.inference.spectral.columns import Layout, Regression
+from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of, log_determinants
+from agent.numerics.inference.spectral.ends import Ends
+from agent.numerics.inference.spectral.sources import Source
+from agent.types import ComplexArray, FloatArray
+
+RESTING = 0.01
+"""Step of log σ at which scoring rests."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ridge:
+    """Prior precision R (base, base) and precision × mean b (base,) of a regression's columns."""
+
+    R: FloatArray
+    b: FloatArray
+
+
+class NoiseFit:
+    """Learns the noise from one window; holds S⁻¹ and the Gram while they move.
+
+    Args:
+        noise: what was known before.
+        cells: directions and spectra of the sources.
+        regression: the window.
+        sources: whose intensities are sought.
+        ridge: prior of the columns with the constants wide; its end-effect entries are set here.
+    """
+
+    def __init__(
+        self, noise: Noise, cells: Cells, regression: Regression, sources: tuple[Source, ...], ridge: Ridge
+    ) -> None:
+        self.cells, self.sources, self.layout = cells, sources, regression.layout
+        self.X, self._high = regression.without_jumps, regression.high
+        self.R0, self.b = ridge.R, ridge.b
+        self.log_sigma, self.log_sigma_var = noise.log_sigma.copy(), noise.log_sigma_var.copy()
+        self.intensity = noise.intensity.copy()
+        self.levels = noise.levels
+        self.seen_power = np.zeros_like(noise.power)
+        self.seen_dof = np.zeros_like(noise.dof)
+        self.ends = Ends(cells.response, sources)
+
+    # ------------------------------------------------------------------ S, S⁻¹ and the Gram at today's values
+    def refresh(self) -> None:
+        """Make S⁻¹, the high power and the Gram anew from today's values."""
+        self.high = HighPower(self.cells.response, self._high, self.levels)
+        self.S = self.cells.covariance(self.log_sigma, self.levels, self.intensity)
+        self.Si = inverse_of(self.S)
+        self.G = self.cells.gram(self.Si, self.X)
+        self.G[-1, -1] += self.high.quadratic(self.Si)
+
+    def ridge(self) -> FloatArray:
+        """Return the prior precision with the end effects of unknown forces at their intensities."""
+        R = self.R0.copy()
+        ends = range(self.layout.ends.start, self.layout.ends.stop)
+        R[ends, ends] = self.ends.precision(self.intensity)
+        return R
+
+    def restricted_log_likelihood(self) -> float:
+        """Return the REML log-likelihood at today's values."""
+        self.refresh()
+        nb = self.layout.base
+        M, g = self.G[:nb, :nb] + self.ridge(), self.G[:nb, nb] + self.b
+        logdet = float(self.cells.weight @ log_determinants(self.S))
+        rss = self.G[nb, nb] - g @ (inverse(M) @ g)
+        ends = float(np.log(self.ends.precision(self.intensity)).sum())
+        return -0.5 * (logdet + float(log_determinant(M)) - ends + float(rss))
+
+    # ------------------------------------------------------------------ σ and the levels of bins
+    def score_sigma(self, prior_mean: FloatArray, prior_var: FloatArray, carried: Noise, steps: int) -> None:
+        """Fisher scoring of log σ by REML with a Gaussian prior, and EM of the bins' levels."""
+        for _ in range(steps):
+            self.refresh()
+            residual, leverage = self._fitted()
+            before = self.log_sigma
+            self._score_step(residual, leverage, prior_mean, prior_var)
+            if self.sources:
+                self._level_step(residual, leverage, carried)
+            if np.abs(self.log_sigma - before).max() < RESTING:
+                break
+        self.refresh()
+
+    def _fitted(self) -> tuple[ComplexArray, FloatArray]:
+        """S⁻¹ of the residual (kept, p), and diag S⁻¹ X M⁻¹ Xᵀ S⁻¹ (kept, p)."""
+        nb, kept = self.layout.base, self.cells.kept
+        V = inverse(self.G[:nb, :nb] + self.ridge())
+        fit = V @ (self.G[:nb, nb] + self.b)
+        Si = self.Si[:kept]
+        residual = (Si @ (self.X[..., nb] - self.X[..., :nb] @ fit)[..., None])[..., 0]
+        Y = (Si @ self.X[..., :nb]).reshape(-1, nb)
+        leverage = ((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)
+        return residual, leverage.reshape(kept, -1)
+
+    def _score_step(
+        self, residual: ComplexArray, leverage: FloatArray, prior_mean: FloatArray, prior_var: FloatArray
+    ) -> None:
+        kept, cells = self.cells.kept, self.cells
+        variance = np.exp(2 * self.log_sigma)
+        levels = cells.cell_levels(self.levels)
+        B = cells.weight[:, None] * levels
+        diagonal = np.einsum("kcc->kc", self.Si).real
+        quad = (B[:kept] * np.abs(residual) ** 2).sum(axis=0)
+        high = self.Si[kept:]
+        quad += np.einsum("kcc->c", high @ self.high.R @ high).real
+        score = variance * (quad - (B * diagonal).sum(axis=0) + (B[:kept] * leverage).sum(axis=0))
+        F = 2 * np.einsum("kc,kcd,kd->cd", B, np.abs(self.Si) ** 2, levels) * np.outer(variance, variance)
+        H = F + np.diag(1.0 / prior_var)
+        step = np.linalg.solve(H, score - (self.log_sigma - prior_mean) / prior_var)
+        self.log_sigma = self.log_sigma + np.clip(step, -1.0, 1.0)
+        self.log_sigma_var = np.diag(np.linalg.inv(H)).copy()
+
+    def _level_step(self, residual: ComplexArray, leverage: FloatArray, carried: Noise) -> None:
+        """Expected noise power a bin given the data (EM), added to what was carried."""
+        kept, bins = self.cells.kept, self.cells.response.bins
+        variance = np.exp(2 * self.log_sigma)
+        diagonal = np.einsum("kcc->kc", self.Si).real
+        own = variance * self.levels[:kept]
+        # S is not below its own noise: where forces drown that, rounding must not make the power negative
+        unseen = np.maximum(own - own**2 * diagonal[:kept], 0.0)
+        power = (own**2 * (np.abs(residual) ** 2 + leverage) + unseen) / variance
+        used = np.where(self.cells.weight[:kept] > 0, bins.multiplicity[:kept], 0.0)[:, None]
+        self.seen_power[:kept] = used * power
+        self.seen_dof[:kept] = used
+        if bins.groups:
+            Sg = self.Si[kept:][bins.group_of]
+            z = (Sg @ self.high.r[..., None])[..., 0]
+            unseen = np.maximum(1 - variance * diagonal[kept:][bins.group_of], 0.0)
+            excess = variance * np.abs(z) ** 2 + unseen
+            many = bins.multiplicity[bins.high][:, None]
+            self.seen_power[bins.high] = many * self.levels[bins.high] * excess
+            self.seen_dof[bins.high] = many
+        self.levels = (carried.power + self.seen_power) / (carried.dof + self.seen_dof)
+
+    # ------------------------------------------------------------------ all variances at once
+    def joint(
+        self, prior_mean: FloatArray, prior_var: FloatArray, nodes: FloatArray, steps: int = 25
+    ) -> None:
+        """Average-information REML in all log variances at once, for a first window (Gilmour et al. 1995)."""
+        p = len(self.log_sigma)
+        kept = self.cells.kept
+        cells = self.cells
+        d = np.concatenate(
+            [np.broadcast_to(np.eye(p, dtype=complex), (len(cells.weight), p, p)), cells.D], axis=2
+        )
+        spectra = np.concatenate([cells.cell_levels(self.levels).T, cells.spectra])
+        prior = np.concatenate([0.25 / prior_var, np.full(len(self.sources), 1e-2)])
+        for _ in range(steps):
+            self.refresh()
+            v = np.concatenate([np.exp(2 * self.log_sigma), self.intensity**2])
+            score, F = self._average_information(d, spectra, v, kept)
+            score[:p] -= 2 * (self.log_sigma - prior_mean) * prior[:p]
+            step = np.linalg.solve(F + np.diag(prior + 0.02 * np.diag(F)), score)
+            step = np.clip(step, -1.5, 1.5)
+            self.log_sigma = self.log_sigma + 0.5 * step[:p]
+            grown = self.intensity * np.exp(0.5 * step[p:])
+            self.intensity = np.clip(grown, nodes[:, 0], nodes[:, -1])
+            if np.abs(step * (F.diagonal() > 0.1)).max() < 0.05:
+                break
+        self.refresh()
+
+    def _average_information(
+        self, d: ComplexArray, spectra: FloatArray, v: FloatArray, kept: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Score and information of the log variances v of the directions d."""
+        nb, weight = self.layout.base, self.cells.weight
+        V = inverse(self.G[:nb, :nb] + self.ridge())
+        fit = V @ (self.G[:nb, nb] + self.b)
+        SD = self.Si @ d
+        SDH = SD.conj().transpose(0, 2, 1)
+        count = len(v)
+        power = np.empty((len(weight), count))
+        residual = (self.X[..., nb] - self.X[..., :nb] @ fit)[..., None]
+        power[:kept] = np.abs((SDH[:kept] @ residual)[..., 0]) ** 2
+        if len(self.high.R):
+            grouped = np.einsum("kaa->ka", SDH[kept:] @ self.high.R @ SD[kept:]).real
+            power[kept:] = grouped / np.maximum(weight[kept:, None], 1e-300)
+        Y = (SDH[:kept] @ self.X[..., :nb]).reshape(-1, nb)
+        leverage = np.zeros((len(weight), count))
+        lev = ((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)
+        leverage[:kept] = lev.reshape(kept, count)
+        DD = d.conj().transpose(0, 2, 1) @ SD
+        weighted = weight * spectra
+        excess = power - np.einsum("kaa->ka", DD).real + leverage
+        score = 0.5 * v * np.einsum("ak,ka->a", weighted, excess)
+        F = (
+            0.5
+            * np.outer(v, v)
+            * np.einsum("ak,kab,bk->ab", weighted, np.abs(DD) ** 2, spectra, optimize=True)
+        )
+        return score, F
+
+
+def layout_free(layout: Layout) -> FloatArray:
+    """Return the diagonal (base,) of the weakest prior: parameters within a thousand times their size."""
+    free = np.zeros(layout.base)
+    free[layout.psi] = 1e-6
+    return free

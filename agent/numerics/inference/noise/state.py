@@ -1,0 +1,103 @@
+"""Noise of a rig as known after some windows: sensors' sd, levels of bins, intensities of sources."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.numerics.inference.noise import tuning
+from agent.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What is known of a rig's noise; frozen, a new one after every window learnt.
+
+    Attributes:
+        log_sigma, log_sigma_var: (p,) log of each sensor's sd and its variance.
+        power, dof: (K, p), (K, p) scaled inverse χ² of each bin's level: Σ normalised power, degrees of
+            freedom.
+        nodes, log_weight: (a, G) intensities of each source and their log-weights; empty before the first
+            window.
+        intensity: (a,) posterior mean of each.
+        spread: (a, q) relative variance that the uncertainty of each intensity adds to each parameter.
+        windows: windows learnt; turn: whose turn it is in the rotation.
+        walk: variance of the random walk of log σ from window to window; counted: windows behind it.
+    """
+
+    log_sigma: FloatArray
+    log_sigma_var: FloatArray
+    power: FloatArray
+    dof: FloatArray
+    nodes: FloatArray
+    log_weight: FloatArray
+    intensity: FloatArray
+    spread: FloatArray
+    windows: int = 0
+    turn: int = 0
+    walk: float = tuning.SIGMA_WALK**2
+    counted: float = tuning.SIGMA_WALK_DOF
+
+    @classmethod
+    def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
+        """Return what is known before the first window; sigma (p,), spread (p,) sd of its logarithm."""
+        p = len(sigma)
+        counted = np.full((bins, p), tuning.LEVEL_DOF)
+        empty = np.zeros((sources, 0))
+        return cls(
+            np.log(sigma),
+            spread**2,
+            counted,
+            counted.copy(),
+            empty,
+            empty,
+            np.zeros(sources),
+            np.zeros((sources, q)),
+        )
+
+    @property
+    def levels(self) -> FloatArray:
+        """(K, p) level of each bin."""
+        return self.power / self.dof
+
+    @property
+    def unsure(self) -> float:
+        """Variance of log σ, of the sensor known least, in the window to come."""
+        return float(self.log_sigma_var.max()) + self.walk
+
+    def differs_from(self, before: "Noise") -> bool:
+        """Whether an intensity that is large moved by more than a share since an earlier window."""
+        if not before.is_started:
+            return True
+        # what may as well be absent has a mean that moves by chance
+        there = (before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]) & (
+            before.log_weight[:, 0] < -tuning.SURE
+        )
+        moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
+        return bool((moved > tuning.UNSETTLED).any())
+
+    def exceeds(self, before: "Noise") -> bool:
+        """Whether the noise has grown: an intensity that doubled, or a sensor's sd a tenth larger."""
+        there = np.maximum(2 * before.intensity, tuning.ACTIVE_NODES * self.nodes[:, 0])
+        return bool((self.intensity > there).any() or (self.log_sigma > before.log_sigma + 0.1).any())
+
+    def is_other_than(self, before: "Noise") -> bool:
+        """Whether there is more or less noise than before, as in `exceeds`."""
+        return not before.is_started or self.exceeds(before) or before.exceeds(self)
+
+    @property
+    def is_started(self) -> bool:
+        """Whether the grids of intensities stand."""
+        return bool(self.nodes.size)
+
+
+def chance(dof: FloatArray | float, unsure: float) -> FloatArray:
+    """Return the predictive sd of the logarithm of a residual's power, with variance `unsure` of log σ."""
+    return np.asarray(np.sqrt(2 / dof + 4 * unsure))
+
+
+def louder(power: FloatArray | float, dof: FloatArray | float, unsure: float) -> FloatArray:
+    """Return by how much the noise of a window exceeds what was expected, from its residual's power over dof.
+
+    As much of that is the window's own σ as the walk of σ allows for; less power than expected is no luck.
+    """
+    return np.asarray(np.maximum(power, 1.0) ** (4 * unsure / (4 * unsure + 2 / dof)))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.blocks.rig_model import known_noise, rig_model, scale_columns
+from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.channel_checks import plain_findings, suspicion
 from agent.commissioning.limits import PLAINER, STRETCHES
@@ -14,8 +14,12 @@ from agent.config.model.tables import Channel
 from agent.errors import Fault
 from agent.numerics.fitting.channel_constants import ChannelConstants, WrongConstant
 from agent.numerics.fitting.wiring import Examiner, Finding, Hypothesis
-from agent.numerics.model.holds import straight
-from agent.runtime.assembly.acquisition_plan import channels_of, complete_inputs, stretch_samples
+from agent.runtime.assembly.acquisition_plan import (
+    channels_of,
+    complete_inputs,
+    fitted_model,
+    stretch_samples,
+)
 from agent.text import number
 from agent.types import FloatArray
 
@@ -50,11 +54,7 @@ def findings(
 def _mistaken(config: RigConfig, v: FloatArray) -> list[dict[str, Any]]:
     """Return the channel whose one constant, left free, explains readings v (N, c), inputs first, and how."""
     examiner = _examiner(config, lambda _done, _all: None)
-    asked = ChannelConstants(
-        model=examiner.model, inputs=examiner.inputs, period_s=examiner.period_s, hold=examiner.hold,
-        sigma=examiner.sigma, push=examiner.push, scale=examiner.scale, scale_column=examiner.scale_column,
-        lower=examiner.lower, complete=examiner.complete,
-    )  # fmt: skip
+    asked = ChannelConstants(examiner.rig, examiner.inputs, examiner.complete)
     before, found = asked.find(v)
     if not found:
         return []
@@ -94,18 +94,10 @@ def _asked_words(asked: WrongConstant, channel: Channel, drives: bool) -> str:
 
 
 def _examiner(config: RigConfig, progress: Callable[[int, int], None]) -> Examiner:
-    rig = rig_model(config)
     resolution = np.zeros(len(config.outputs))
-    nominal = rig.model.nominal
-    limited = np.where(rig.limits > 0, rig.limits, np.nan)
-    return Examiner(
-        model=rig.model, inputs=len(config.inputs), period_s=1.0 / config.rig.sample_rate_hz,
-        hold=straight(config.estimator.hold), push=rig.disturbance, sigma=known_noise(config, resolution),
-        scale=np.where(nominal != 0, np.abs(nominal), limited), scale_column=scale_columns(config, rig),
-        lower=statistical_rig(config).lower,
-        elastic=np.array([p.kind in ELASTIC for p in rig.parameters]),
-        complete=complete_inputs(config, resolution), progress=progress,
-    )  # fmt: skip
+    elastic = np.array([p.kind in ELASTIC for p in rig_model(config).parameters])
+    fitted = fitted_model(config, resolution, statistical_rig(config).lower)
+    return Examiner(fitted, len(config.inputs), elastic, complete_inputs(config, resolution), progress)
 
 
 def _liveliest(config: RigConfig, v: FloatArray, pieces: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -87,7 +87,7 @@ class SkewWatch:
         self.skew_s = np.zeros(len(self.groups))
         self.sd_s = np.full(len(self.groups), np.inf)
         self.budget = self.budget or Budget(EVALUATIONS * (EVALUATION + self.stretch), RATE)
-        self._theta = self.meter.model.nominal
+        self._theta = self.meter.rig.model.nominal
         self._measured = np.zeros(len(self.groups))
 
     @property

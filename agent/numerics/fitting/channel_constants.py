@@ -1,20 +1,19 @@
 """Which one constant of one channel, left free, would explain readings: its zero, its scale or its delay."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from agent.numerics.fitting.fit import Problem, fit_window, sized
+from agent.numerics.fitting.fit import FittedModel, fit_window
 from agent.numerics.fitting.skew import Group, SkewMeter
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
-from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.preprocessing.noise import sensor_noise
-from agent.types import FloatArray, IntArray
+from agent.types import FloatArray
 
 Kind = Literal["offset", "scale", "delay"]
 TINY = 1e-3
@@ -56,18 +55,14 @@ class WrongConstant(NamedTuple):
 class ChannelConstants:
     """Leaves each constant of each channel free in turn.
 
-    Attributes: those of `wiring.Examiner` of the same names.
+    Attributes:
+        rig: its model.
+        inputs: its measured inputs.
+        complete: outputs and inputs -> all of the model's inputs.
     """
 
-    model: Model
+    rig: FittedModel
     inputs: int
-    period_s: float
-    hold: Hold
-    sigma: FloatArray
-    push: FloatArray
-    scale: FloatArray
-    scale_column: IntArray | None
-    lower: FloatArray
     complete: Callable[[FloatArray, FloatArray], FloatArray]
 
     def find(self, v: FloatArray) -> tuple[float, Sequence[WrongConstant]]:
@@ -79,9 +74,7 @@ class ChannelConstants:
             return np.nan, ()
         with np.errstate(all="ignore"):  # of a model far from its rig the first fit is no number
             try:
-                plain = self._fitted(
-                    self.model, self.scale, self.lower, self.model.nominal, y, self.complete(y, u)
-                )
+                plain = self._fitted(self.rig, self.rig.model.nominal, y, self.complete(y, u))
             except (ValueError, np.linalg.LinAlgError):
                 return np.nan, ()
         before = float(np.exp(np.mean(np.log(np.maximum(plain[0], 1e-12)))))
@@ -121,23 +114,19 @@ class ChannelConstants:
     def _delay(self, v: FloatArray, channel: int) -> WrongConstant | None:
         y = v[:, self.inputs :]
         group = Group((channel,), ()) if channel < self.inputs else Group((), (channel - self.inputs,))
-        meter = SkewMeter(
-            self.model, (group,), self.inputs, self.period_s, self.hold, self.push, self._noise(y),
-            self.scale,
-            self.scale_column, self.lower,
-        )  # fmt: skip
+        meter = SkewMeter(replace(self.rig, sigma=self._noise(y)), (group,), self.inputs)
         spline = CubicSpline(np.arange(len(v)), v[:, channel])
         at = np.arange(MARGIN, len(v) - MARGIN)
 
         def resampled(delays: FloatArray) -> FloatArray:
             moved = v[MARGIN:-MARGIN].copy()
-            moved[:, channel] = spline(at + np.clip(delays[0] / self.period_s, -MARGIN, MARGIN))
+            moved[:, channel] = spline(at + np.clip(delays[0] / self.rig.period_s, -MARGIN, MARGIN))
             outputs = moved[:, self.inputs :]
             return np.hstack([outputs, self.complete(outputs, moved[:, : self.inputs])])
 
-        found = meter.measure(resampled, np.zeros(1), self.model.nominal)
+        found = meter.measure(resampled, np.zeros(1), self.rig.model.nominal)
         late = float(found.delay_s[0])
-        if not found.sure or abs(late) / self.period_s < SMALLEST["delay"]:
+        if not found.sure or abs(late) / self.rig.period_s < SMALLEST["delay"]:
             return None
         share = self._fitted_columns(resampled(found.delay_s), found.theta)
         return WrongConstant("delay", channel, late, share, found.theta)
@@ -152,36 +141,26 @@ class ChannelConstants:
     ) -> tuple[FloatArray, FloatArray]:
         u, y = v[:, : self.inputs], v[:, self.inputs :]
         side, number = ("input", channel) if channel < self.inputs else ("output", channel - self.inputs)
-        inner = self.model.model if isinstance(self.model, SensedModel) else self.model
-        known = self.model.nuisances if isinstance(self.model, SensedModel) else ()
+        inner = self.rig.model.model if isinstance(self.rig.model, SensedModel) else self.rig.model
+        known = self.rig.model.nuisances if isinstance(self.rig.model, SensedModel) else ()
         if any((n.kind, n.side, n.number) == (kind, side, number) for n in known):
             raise ValueError("it is estimated already")
         freed = Nuisance(f"freed {kind}", kind, side, number)  # type: ignore[arg-type]
         model = SensedModel(inner, (*known, freed))
         size = 1.0 if kind == "gain" else max(float(np.std(v[:, channel])), 1e-300)
         u = with_constant(self.complete(y, u), model.continuous(model.nominal).m)
-        scale, lower = np.append(self.scale, size), np.append(self.lower, -np.inf)
-        return self._fitted(model, scale, lower, model.nominal, y, u)
+        freed_rig = self.rig.with_more(model, np.array([size]), np.array([-np.inf]))
+        return self._fitted(freed_rig, model.nominal, y, u)
 
     def _fitted(
-        self,
-        model: Model,
-        scale: FloatArray,
-        lower: FloatArray,
-        start: FloatArray,
-        y: FloatArray,
-        u: FloatArray,
+        self, rig: FittedModel, start: FloatArray, y: FloatArray, u: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the share (p,) left of each output, and the parameters there."""
-        column = self.scale_column
-        if column is not None and len(column) < len(scale):
-            column = np.append(column, np.zeros(len(scale) - len(column), dtype=np.int64))
-        size = sized(scale, column, np.hstack([y, u]))
-        problem = Problem(model, self.period_s, self.hold, self._noise(y), self.push, size, lower)
+        problem = rig.problem(self._noise(y), np.hstack([y, u]))
         fit = fit_window(problem, window_of(y, u), start, max_steps=10, tolerance=0.1)
         return np.sqrt(fit.left / np.maximum(np.sum(y**2, axis=0), 1e-300)), fit.theta
 
     def _fitted_columns(self, columns: FloatArray, theta: FloatArray) -> FloatArray:
-        p = len(self.sigma)
+        p = len(self.rig.sigma)
         y, u = columns[:, :p], columns[:, p:]
-        return self._fitted(self.model, self.scale, self.lower, theta, y, u)[0]
+        return self._fitted(self.rig, theta, y, u)[0]

@@ -61,6 +61,44 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
+class FittedModel:
+    """A rig's model as readings of it are fitted: all of a `Problem` that does not depend on them.
+
+    Attributes:
+        model: the rig's.
+        period_s, hold: of the sampled model.
+        push: (n, d) directions in which unknown forces push the state.
+        sigma: (p,) sd of each output's noise, NaN where it is not known.
+        scale, lower: (q,) size and bound of each parameter; an offset's size, NaN, is that of a column of
+            outputs and inputs, `scale_column` (q,).
+    """
+
+    model: Model
+    period_s: float
+    hold: Hold
+    push: FloatArray
+    sigma: FloatArray
+    scale: FloatArray
+    scale_column: IntArray | None
+    lower: FloatArray
+
+    def with_more(self, model: Model, scale: FloatArray, lower: FloatArray) -> "FittedModel":
+        """Return this of a model with k further parameters, of sizes and bounds (k,)."""
+        column = self.scale_column
+        if column is not None:
+            column = np.append(column, np.zeros(len(scale), dtype=np.int64))
+        return replace(
+            self, model=model, scale=np.append(self.scale, scale), scale_column=column,
+            lower=np.append(self.lower, lower),
+        )  # fmt: skip
+
+    def problem(self, sigma: FloatArray, columns: FloatArray) -> Problem:
+        """Return what columns (N, p + m), outputs first, are fitted with under sensor sds (p,)."""
+        size = _sizes(self.scale, self.scale_column, columns)
+        return Problem(self.model, self.period_s, self.hold, sigma, self.push, size, self.lower)
+
+
+@dataclass(frozen=True, slots=True)
 class WindowFit:
     """What a window says alone.
 
@@ -200,7 +238,7 @@ def _directions(problem: Problem, response: Response, window: Window, *, pushed:
     return np.asarray(H * np.sqrt(seen / np.maximum(each, 1e-300)))
 
 
-def sized(scale: FloatArray, column: IntArray | None, v: FloatArray) -> FloatArray:
+def _sizes(scale: FloatArray, column: IntArray | None, v: FloatArray) -> FloatArray:
     """Return sizes (q,) of parameters; offsets, with scale NaN, have that of their column of v (N, p + m)."""
     rms = np.sqrt(np.mean(v**2, axis=0))
     own = rms[np.zeros(len(scale), dtype=np.int64) if column is None else np.minimum(column, len(rms) - 1)]

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.numerics.fitting.fit import Problem, fit_window, sized
+from agent.numerics.fitting.fit import FittedModel, fit_window
 from agent.numerics.inference.spectral.columns import window_of
-from agent.numerics.model.statespace import Hold, Model, StateSpace
+from agent.numerics.model.statespace import Model, StateSpace
 from agent.numerics.preprocessing.noise import sensor_noise
-from agent.types import FloatArray, IntArray
+from agent.types import FloatArray
 
 MOST_FITS = 8
 """Fits at most; a delay of a third of the fastest period needs five."""
@@ -132,26 +132,14 @@ class SkewMeter:
     """Measures delays of groups of channels on stretches of samples.
 
     Attributes:
-        model: the rig's.
+        rig: its model.
         groups: channels that are late together, against those in no group.
         signals: inputs of the model that are measured; others (signs, the constant 1) have no rate of change.
-        period_s, hold: of the sampled model.
-        push: (n, d) directions in which unknown forces push the state.
-        sigma: (p,) sd of each output's noise, NaN where it is not known.
-        scale, lower: (q,) size and bound of each of the model's own parameters; an offset's size, NaN, is
-            that of a column of outputs and inputs, `scale_column` (q,).
     """
 
-    model: Model
+    rig: FittedModel
     groups: tuple[Group, ...]
     signals: int
-    period_s: float
-    hold: Hold
-    push: FloatArray
-    sigma: FloatArray
-    scale: FloatArray
-    scale_column: IntArray | None
-    lower: FloatArray
 
     def measure(
         self, resampled: Callable[[FloatArray], FloatArray], start_s: FloatArray, theta: FloatArray
@@ -177,21 +165,19 @@ class SkewMeter:
 
     def _turn(self, v: FloatArray, theta: FloatArray) -> "_Turn":
         """Fit once."""
-        p, g = len(self.sigma), len(self.groups)
+        rig, signals = self.rig, self.signals
+        p, g = len(rig.sigma), len(self.groups)
         y, u = v[:, :p], v[:, p:]
         # one row is lost at each end to the rates of change
-        rates = (u[2:, : self.signals] - u[:-2, : self.signals]) / (2 * self.period_s)
+        rates = (u[2:, :signals] - u[:-2, :signals]) / (2 * rig.period_s)
         columns = np.hstack([y[1:-1], u[1:-1], rates])
-        problem = Problem(
-            DelayedModel(self.model, self.groups, self.signals), self.period_s, self.hold, self._noise(y),
-            self.push,
-            np.concatenate([sized(self.scale, self.scale_column, columns), np.full(g, DELAY_SCALE_S)]),
-            np.concatenate([self.lower, np.full(g, -np.inf)]),
-        )  # fmt: skip
+        delayed = DelayedModel(rig.model, self.groups, signals)
+        widened = rig.with_more(delayed, np.full(g, DELAY_SCALE_S), np.full(g, -np.inf))
+        problem = widened.problem(self._noise(y), columns)
         fit = fit_window(
             problem, window_of(columns[:, :p], columns[:, p:]), np.concatenate([theta, np.zeros(g)])
         )
-        unknowns = len(theta) + g + len(self.model.state_names)
+        unknowns = len(theta) + g + len(rig.model.state_names)
         variance = fit.cost / max(columns[:, :p].size - unknowns, 1)
         delay_variance = np.diag(fit.covariance)[-g:] * variance
         sd = np.sqrt(np.where(delay_variance > 0, delay_variance, np.inf))
@@ -204,7 +190,7 @@ class SkewMeter:
     def _noise(self, y: FloatArray) -> FloatArray:
         """(p,) noise sd of each output: known, or as the readings show it."""
         guess = np.maximum(sensor_noise(y), 1e-9 * np.abs(y).max(axis=0) + 1e-300)
-        return np.where(np.isfinite(self.sigma), self.sigma, guess)
+        return np.where(np.isfinite(self.rig.sigma), self.rig.sigma, guess)
 
 
 class Skew(NamedTuple):

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from agent.numerics.fitting.channel_constants import STILL
 from agent.numerics.fitting.channel_scale import factor_of_input, factor_of_output
-from agent.numerics.fitting.fit import Problem, fit_window, sized
+from agent.numerics.fitting.fit import FittedModel, fit_window
 from agent.numerics.inference.spectral.columns import window_of
-from agent.numerics.model.statespace import Hold, Model, discretise
+from agent.numerics.model.statespace import discretise
 from agent.numerics.preprocessing.noise import sensor_noise
-from agent.types import FloatArray, IntArray
+from agent.types import FloatArray
 
 FACTORS = (2.0, 10.0, 100.0, 1000.0, 1e6, 25.4, 39.3700787, 9.80665, 4.4482216)
 """How many times too large or small a reading may be: twice, prefixes, inches, kilogram- and pound-force."""
@@ -101,27 +101,15 @@ class Examiner:
     """Examines stretches of readings of one rig.
 
     Attributes:
-        model: the rig's.
+        rig: its model.
         inputs: its measured inputs.
-        period_s, hold: of the sampled model.
-        push: (n, d) directions in which unknown forces push the state.
-        sigma: (p,) sd of each output's noise, NaN where it is not known.
-        scale, lower: (q,) size and bound of each parameter; an offset's size, NaN, is that of a column of
-            outputs and inputs, `scale_column` (q,).
         elastic: (q,) which parameters are springs, dampers or the like, all in proportion to the force.
         complete: outputs and inputs -> all of the model's inputs.
         progress: called with how many of how many hypotheses are examined.
     """
 
-    model: Model
+    rig: FittedModel
     inputs: int
-    period_s: float
-    hold: Hold
-    push: FloatArray
-    sigma: FloatArray
-    scale: FloatArray
-    scale_column: IntArray | None
-    lower: FloatArray
     elastic: NDArray[np.bool_]
     complete: Callable[[FloatArray, FloatArray], FloatArray]
     progress: Callable[[int, int], None] = field(default=lambda _done, _all: None)
@@ -168,7 +156,7 @@ class Examiner:
 
     def _ratios(self, theta: FloatArray) -> FloatArray:
         """Logarithms of the springs and dampers against their nominals."""
-        nominal = self.model.nominal
+        nominal = self.rig.model.nominal
         counted = self.elastic & (nominal > 0)
         if not counted.any():
             return np.zeros(1)
@@ -182,7 +170,7 @@ class Examiner:
         y = np.vstack([v[:, self.inputs :] for v in stretches])
         rms = np.maximum(np.sqrt(np.mean(y**2, axis=0)), 1e-300)
         noise = np.mean([self._noise(v[:, self.inputs :]) for v in stretches], axis=0)
-        stated = np.where(np.isfinite(self.sigma), np.maximum(noise, self.sigma), noise)
+        stated = np.where(np.isfinite(self.rig.sigma), np.maximum(noise, self.rig.sigma), noise)
         return bool(np.all(plain.share <= np.maximum(FITS * stated / rms, LEAST_SHARE)))
 
     def _candidates(self, v: FloatArray) -> Iterator[Hypothesis]:
@@ -202,7 +190,9 @@ class Examiner:
     def _scale_guess(self, v: FloatArray, channel: int) -> float | None:
         """How many times too large a channel is if the nominal model is right, roughly; None if unclear."""
         u, y = v[:, : self.inputs], v[:, self.inputs :]
-        sampled = discretise(self.model.continuous(self.model.nominal), self.period_s, self.hold)
+        sampled = discretise(
+            self.rig.model.continuous(self.rig.model.nominal), self.rig.period_s, self.rig.hold
+        )
         if channel >= self.inputs:
             return factor_of_output(sampled, y, self.complete(y, u), channel - self.inputs)
         others = u.copy()
@@ -214,7 +204,7 @@ class Examiner:
         outputs = stretches[0].shape[1] - self.inputs
         squares = np.zeros(outputs)
         signal = np.zeros(outputs)
-        theta = self.model.nominal
+        theta = self.rig.model.nominal
         for v in stretches:
             left, power, theta = self._left(hypothesis.mended(v))
             squares, signal = squares + left, signal + power
@@ -228,13 +218,12 @@ class Examiner:
         # no output is weighed more than a thousand times its size, or its noise alone would decide
         sigma = np.maximum(self._noise(y), LEAST_SHARE * np.sqrt(power / len(y)) + 1e-300)
         u = self.complete(y, u)
-        size = sized(self.scale, self.scale_column, np.hstack([y, u]))
-        problem = Problem(self.model, self.period_s, self.hold, sigma, self.push, size, self.lower)
+        problem = self.rig.problem(sigma, np.hstack([y, u]))
         with np.errstate(
             all="ignore"
         ):  # what a wrong hypothesis does to a fit is its own affair: it leaves everything
             try:
-                fit = fit_window(problem, window_of(y, u), self.model.nominal, max_steps=8, tolerance=0.1)
+                fit = fit_window(problem, window_of(y, u), self.rig.model.nominal, max_steps=8, tolerance=0.1)
             except (ValueError, np.linalg.LinAlgError):
-                return np.full_like(power, np.inf), power, self.model.nominal
+                return np.full_like(power, np.inf), power, self.rig.model.nominal
         return fit.left, power, fit.theta

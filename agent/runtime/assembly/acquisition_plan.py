@@ -17,6 +17,7 @@ from agent.blocks.rig_model import hop_plan, known_noise, rig_model, scale_colum
 from agent.config import LinearModel, RigConfig
 from agent.config.model.tables import Channel
 from agent.config.tables import Source
+from agent.numerics.fitting.fit import FittedModel
 from agent.numerics.fitting.skew import Group, SkewMeter
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
@@ -141,13 +142,10 @@ class _Complete:
 
 def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: FloatArray) -> SkewMeter:
     """Return what measures the skews of channel groups; resolution (p,) is that of the outputs' wires, SI."""
-    rig = rig_model(config)
     inputs = len(config.inputs)
-    nominal = rig.model.nominal
-    limited = np.where(rig.limits > 0, rig.limits, np.nan)
-    scale = np.where(nominal != 0, np.abs(nominal), limited)
+    rig = rig_model(config)
     physical = np.array([p.kind in ("mass", "spring", "damper", "friction") for p in rig.parameters])
-    lower = np.where(physical & (nominal != 0), 0.0, -np.inf)
+    lower = np.where(physical & (rig.model.nominal != 0), 0.0, -np.inf)
     late = tuple(
         Group(
             tuple(c for c in group.channels if c < inputs),
@@ -155,8 +153,20 @@ def skew_meter(config: RigConfig, groups: tuple[SkewGroup, ...], resolution: Flo
         )
         for group in groups
     )
-    return SkewMeter(
-        rig.model, late, signals(config), 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold),
+    return SkewMeter(fitted_model(config, resolution, lower), late, signals(config))
+
+
+def fitted_model(config: RigConfig, resolution: FloatArray, lower: FloatArray) -> FittedModel:
+    """Return the model that readings are fitted with, its parameters bounded by lower (q,).
+
+    resolution: (p,) smallest step of each output's wire, SI.
+    """
+    rig = rig_model(config)
+    nominal = rig.model.nominal
+    limited = np.where(rig.limits > 0, rig.limits, np.nan)
+    scale = np.where(nominal != 0, np.abs(nominal), limited)
+    return FittedModel(
+        rig.model, 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold),
         rig.disturbance, known_noise(config, resolution), scale, scale_columns(config, rig), lower,
     )  # fmt: skip
 

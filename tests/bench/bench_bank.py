@@ -61,9 +61,11 @@ def cost(rig: BankRig, y: np.ndarray, u: np.ndarray, window: int) -> float:
         Stream(rig.model, rig.push, noise, HopPlan(window, HOP), (), rig.interest) for _ in range(ROUNDS)
     ]
 
+    v = np.hstack([y, u])
+
     def run() -> None:
         stream = streams.pop()
-        stream.append(0, y, u)
+        stream.append(0, v)
         stream.rows()
 
     return fastest(run) / SAMPLES * 1e9

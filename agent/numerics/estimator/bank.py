@@ -103,7 +103,7 @@ class Bank:
             if stop <= self._fed:
                 return None
             samples = record.samples_with_slopes if self.point.slopes else record.samples
-            stream.extend(self._fed, samples(self._fed, stop), self._lost_until(record, stop))
+            stream.append(self._fed, samples(self._fed, stop), self._lost_until(record, stop))
             self._fed = stop
             batch = stream.rows()
         self._units = min(UNITS_GROWTH * self._units, UNITS_MOST)

@@ -61,16 +61,12 @@ class Stream:
         self._losses.forget(self._samples.first, self._samples.first)
         self._begin(first_hop, np.zeros(size.z))
 
-    def append(self, index: int, y: FloatArray, u: FloatArray, lost: Lost | None = None) -> None:
-        """Take outputs y (N, p) and inputs u (N, m), the first of them number `index`; lost: those filled in.
+    def append(self, index: int, v: FloatArray, lost: Lost | None = None) -> None:
+        """Take outputs and inputs v (N, p+m), the first of them number `index`; lost: those filled in.
 
         Raises:
             ValueError: they do not follow at once on the samples before.
         """
-        self.extend(index, np.hstack([y, u]), lost)
-
-    def extend(self, index: int, v: FloatArray, lost: Lost | None = None) -> None:
-        """Take outputs and inputs side by side, v (N, p+m), as in `append`."""
         end = self._samples.stop
         begins = end == self._samples.first
         skipped = max(0, end - index) if begins else 0

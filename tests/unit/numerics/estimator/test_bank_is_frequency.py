@@ -65,7 +65,7 @@ def both(
     taken = samples.samples_with_slopes if point.slopes else samples.samples
     pieces = [samples.lost_between(start, start + HOP, WINDOW) for start in range(0, SAMPLES, HOP)]
     given = reduce(Lost.followed, pieces)
-    stream.extend(0, taken(0, SAMPLES), given)
+    stream.append(0, taken(0, SAMPLES), given)
     windowed = stream.rows().windows[0]
     assert windowed is not None
     rows = read(windowed, point, WINDOW)

@@ -94,5 +94,5 @@ def rows_of(
     record: tuple[FloatArray, FloatArray],
 ) -> BankRows:
     stream = Stream(rig.model, rig.push, noise, plan, longer, rig.interest)
-    stream.append(0, *record)
+    stream.append(0, np.hstack(record))
     return stream.rows()

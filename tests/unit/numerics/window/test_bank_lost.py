@@ -52,7 +52,7 @@ def rows_with(
     pieces = []
     for start in range(0, len(record[0]), portion):
         stop = min(start + portion, len(record[0]))
-        stream.append(start, record[0][start:stop], record[1][start:stop], lost.between(start, stop))
+        stream.append(start, np.hstack(record)[start:stop], lost.between(start, stop))
         pieces.append(stream.rows())
     return joined(pieces, 1 + len(longer))
 

@@ -46,12 +46,13 @@ def test_two_pasts_of_the_same_window_give_the_same_estimate(noise: NoiseModel) 
 @pytest.mark.parametrize("window", [133, 140, 613, 600])
 def test_rows_are_the_same_to_the_last_bit_however_samples_arrive(window: int) -> None:
     y, u = record(1500)
+    v = np.hstack([y, u])
     whole = rows_of(RIG, NOISE, HopPlan(window, 20), (12, 40), (y, u))
     for size in (13, 137):
         stream = Stream(RIG.model, RIG.push, NOISE, HopPlan(window, 20), (12, 40), RIG.interest)
         pieces = []
         for start in range(0, 1500, size):
-            stream.append(start, y[start : start + size], u[start : start + size])
+            stream.append(start, v[start : start + size])
             pieces.append(stream.rows())
         portions = joined(pieces, 3)
         assert np.array_equal(portions.index, whole.index)
@@ -76,15 +77,15 @@ def test_rows_fall_due_where_the_plan_says_and_windows_wait_until_they_are_whole
 
 
 def test_a_restart_gives_the_rows_of_a_stream_that_always_had_these_operators() -> None:
-    y, u = record(800)
+    v = np.hstack(record(800))
     other = replace(NOISE, force=np.full(2, 0.05), coloured=())
     stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
-    stream.append(0, y[:500], u[:500])
+    stream.append(0, v[:500])
     before = stream.rows()
     stream.restart(RIG.model, RIG.push, other, 500 - 133 - 20)
-    stream.append(500, y[500:], u[500:])
+    stream.append(500, v[500:])
     after = first(stream.rows())
-    wanted = first(rows_of(RIG, other, PLAN, (), (y, u)))
+    wanted = first(rows_of(RIG, other, PLAN, (), (v[:, :2], v[:, 2:])))
     assert after.index[0] == before.index[-1] + 20
     count = len(after.index)
     assert np.array_equal(after.index, wanted.index[-count:])
@@ -94,9 +95,9 @@ def test_a_restart_gives_the_rows_of_a_stream_that_always_had_these_operators() 
 
 
 def test_a_restart_before_the_oldest_kept_sample_is_refused() -> None:
-    y, u = record(40 * 1600)
+    v = np.hstack(record(40 * 1600))
     stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
-    stream.append(0, y, u)
+    stream.append(0, v)
     stream.rows()
     with pytest.raises(ValueError, match="the oldest that operators can start at is"):
         stream.restart(RIG.model, RIG.push, NOISE, 0)
@@ -104,23 +105,23 @@ def test_a_restart_before_the_oldest_kept_sample_is_refused() -> None:
 
 
 def test_a_new_segment_begins_windows_afresh_at_the_hop_grid() -> None:
-    y, u = record(400)
+    v = np.hstack(record(400))
     stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
-    stream.append(0, y[:200], u[:200])
+    stream.append(0, v[:200])
     stream.rows()
     stream.start_segment(207)
-    stream.append(207, y[207:], u[207:])
+    stream.append(207, v[207:])
     rows = stream.rows()
     assert rows.index[0] == 232
     assert first(rows).index[0] == 352
 
 
 def test_samples_that_do_not_follow_are_refused() -> None:
-    y, u = record(100)
+    v = np.hstack(record(100))
     stream = Stream(RIG.model, RIG.push, NOISE, PLAN)
-    stream.append(0, y, u)
+    stream.append(0, v)
     with pytest.raises(ValueError, match="sample 101 does not follow on 99"):
-        stream.append(101, y, u)
+        stream.append(101, v)
 
 
 def test_a_sensor_without_noise_is_refused() -> None:

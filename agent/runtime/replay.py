@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import logging
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -30,8 +31,11 @@ from drivers.port import Driver, DriverConfigError, DriverError, SourceRequest
 
 SOURCE = "recording"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
-_COMMIT_S = 0.2
+_COMMIT_S = 0.05
 """Between commits: little is left to write when the last block is estimated."""
+_SWITCH_S = 5e-4
+"""Longest that reading and writing hold the interpreter while the estimation waits for it, which lets go of it
+in every product of matrices: at Python's 5 ms it waits for a tenth of a replay, under 0.2 ms switches cost more."""
 _OBJECTS = 20_000
 """New objects between two searches for garbage, of which arrays make none: 700 cost a hundredth of all."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
@@ -48,6 +52,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     started = time.monotonic()
     keep_freed_memory()
     gc.set_threshold(_OBJECTS)
+    sys.setswitchinterval(_SWITCH_S)
     with ExitStack() as stack:
         playing = begun(rig, recordings)
         stack.callback(playing.close)

@@ -34,8 +34,8 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
 _COMMIT_S = 0.05
 """Between commits: little is left to write when the last block is estimated."""
 _SWITCH_S = 5e-4
-"""Longest that reading and writing hold the interpreter while the estimation waits for it, which lets go of it
-in every product of matrices: at Python's 5 ms it waits for a tenth of a replay, under 0.2 ms switches cost more."""
+"""Longest that reading and writing hold the interpreter while the estimation, which lets go of it in every
+product of matrices, waits for it: a tenth of a replay at Python's 5 ms; below 0.2 ms switching costs more."""
 _OBJECTS = 20_000
 """New objects between two searches for garbage, of which arrays make none: 700 cost a hundredth of all."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")

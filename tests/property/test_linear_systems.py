@@ -105,7 +105,9 @@ def errors(seed: int, windows: int) -> tuple[FloatArray, FloatArray]:
     sigma = NOISE_SHARE * y[:SAMPLES].std(axis=0)
     observer = 'observer = { gain = "kalman", process_sd = 0 }\n'
     config = configuration(system, chosen, sigma, SAMPLES * PERIOD_S, observer)
-    estimator = SlidingEstimator(estimator_settings(config, np.zeros(len(sigma))), budget_of(SAMPLES))
+    estimator = SlidingEstimator(
+        estimator_settings(config, np.zeros(len(sigma))), budget_of(SAMPLES, 1 / config.rig.sample_rate_hz)
+    )
     rows = estimator.step(0, y + sigma * rng.standard_normal(y.shape), u[:-1])
     keep = rows.index >= 2 * SAMPLES - 1
     # without an alarm an entry is unexcited beyond a share of its nominal, whatever that is; it has its

@@ -241,9 +241,8 @@ class Explainer:
         """Take what was evaluated since it began, and `least` at the least, out of the budget."""
         self.learner.lineariser.most = np.inf
         done = self.learner.lineariser.evaluations
-        self.budget.spend(
-            max(done - self._counted, least, 0) * samples_an_evaluation(self.settings.plan.window)
-        )
+        each = samples_an_evaluation(self.settings.plan.window, self.settings.rig.period_s)
+        self.budget.spend(max(done - self._counted, least, 0) * each)
         self._counted = done
 
     def _is_elsewhere(self, reading: Reading, i: int, posterior: Posterior) -> bool:

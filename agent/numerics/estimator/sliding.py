@@ -71,7 +71,7 @@ class SlidingEstimator:
 
     def __init__(self, settings: EstimatorSettings, budget: Budget | None = None) -> None:
         self.settings = settings
-        self.explainer = Explainer(settings, budget or budget_of(settings.plan.window))
+        self.explainer = Explainer(settings, budget or budget_of(settings.plan.window, settings.rig.period_s))
         self._ahead = LookAhead(settings.rig)
         self._record: Record | None = None
         self._jump = 0.0

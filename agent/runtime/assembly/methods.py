@@ -43,7 +43,8 @@ def make_estimation(config: RigConfig, resolution: FloatArray) -> Estimation:
         enough=config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf),
     )  # fmt: skip
     make = partial(_estimator, config, rig, resolution)
-    estimator = ContainedEstimator(make, budget_of(plan.window), plan, len(rig.parameters))
+    budget = budget_of(plan.window, 1 / config.rig.sample_rate_hz)
+    estimator = ContainedEstimator(make, budget, plan, len(rig.parameters))
     return Estimation(estimator, labels)
 
 

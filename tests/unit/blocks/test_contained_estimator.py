@@ -24,7 +24,7 @@ class Fragile:
     error: Exception
     adopted: list[str] = field(default_factory=list)
     spikes: int = 0
-    budget: Budget = field(default_factory=lambda: budget_of(20))
+    budget: Budget = field(default_factory=lambda: budget_of(20, 1e-3))
 
     def start_segment(self) -> None: ...
 
@@ -51,7 +51,9 @@ class Fragile:
 
 
 def contained(bad: int, error: Exception) -> ContainedEstimator:
-    return ContainedEstimator(lambda budget: Fragile(bad, error, budget=budget), budget_of(20), PLAN, q=2)
+    return ContainedEstimator(
+        lambda budget: Fragile(bad, error, budget=budget), budget_of(20, 1e-3), PLAN, q=2
+    )
 
 
 @pytest.mark.parametrize(
@@ -79,7 +81,7 @@ def test_contained_estimator_what_is_no_number_is_a_failure_of_its_window_and_in
             return rows
 
     estimator = ContainedEstimator(
-        lambda budget: Overflowing(-1, KeyError(), budget=budget), budget_of(20), PLAN, q=2
+        lambda budget: Overflowing(-1, KeyError(), budget=budget), budget_of(20, 1e-3), PLAN, q=2
     )
     y = np.ones((100, 1))
     y[47] = 1e200
@@ -113,7 +115,7 @@ def test_contained_estimator_made_anew_has_no_more_to_spend_than_was_left() -> N
         made.append(Fragile(25, ValueError("planted"), budget=budget))
         return made[-1]
 
-    contained = ContainedEstimator(make, budget_of(20), PLAN, 2)
+    contained = ContainedEstimator(make, budget_of(20, 1e-3), PLAN, 2)
     contained.hurry()
     contained.step(0, np.zeros((60, 1)), np.zeros((60, 1)))
     assert len(made) > 1

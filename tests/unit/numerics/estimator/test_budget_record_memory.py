@@ -15,23 +15,25 @@ from agent.numerics.estimator.record import SPARE, Record
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import learner_of, record
 
+PERIOD_S = 1e-3
+
 
 @pytest.mark.parametrize("solve", [3, 150])
 def test_budget_gives_a_burst_then_so_many_evaluations_a_window_whatever_a_solve_takes(solve: int) -> None:
-    budget, window, many = budget_of(8000), 8000, 1000
+    budget, window, many = budget_of(8000, PERIOD_S), 8000, 1000
     spent = 0
     for index in range(0, many * window, 100):
         if budget.allows(index):
-            budget.spend(solve * samples_an_evaluation(window))
+            budget.spend(solve * samples_an_evaluation(window, PERIOD_S))
             spent += solve
     # what is there once beyond the capital does not grow meanwhile
     assert BURST + EVALUATIONS_A_WINDOW * many <= spent <= BURST + FIRST + EVALUATIONS_A_WINDOW * many + solve
 
 
 def test_budget_is_the_same_however_often_it_is_asked() -> None:
-    rare, often = budget_of(8000), budget_of(8000)
+    rare, often = budget_of(8000, PERIOD_S), budget_of(8000, PERIOD_S)
     for budget in (rare, often):
-        budget.spend((2 * BURST + FIRST) * samples_an_evaluation(8000))
+        budget.spend((2 * BURST + FIRST) * samples_an_evaluation(8000, PERIOD_S))
     paid = BURST * 1000
     for index in range(0, paid + 2, 100):
         assert not often.allows(index)

@@ -152,9 +152,7 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
         return [_track(rig, path) for path in recordings]
     if len(own) < len(recordings):
         other = next(path for path in recordings if not is_own(path))
-        raise RecordingError.at(
-            str(other), f"is no recording of the agent like {own[0]}", "replay each by itself"
-        )
+        raise RecordingError.at(other, f"is no recording of the agent like {own[0]}", "replay each by itself")
     sources = {source.name: source for source in (*rig.source, *rig.covariate_source)}
     return [_divided(name, _open(driver), sources[name]) for name, driver in own_recordings(rig, own).items()]
 
@@ -223,10 +221,10 @@ def opened(rig: RigConfig, path: Path) -> Driver:
 
 def _must_be_a_file(path: Path) -> None:
     if path.is_dir():
-        raise RecordingError.at(str(path), "is a folder, no recording", "give the files in it")
+        raise RecordingError.at(path, "is a folder, no recording", "give the files in it")
     if path.exists() and not path.is_file():
         advice = "write what comes from there to a file first"
-        raise RecordingError.at(str(path), "is a pipe or a device, whose end may never come", advice)
+        raise RecordingError.at(path, "is a pipe or a device, whose end may never come", advice)
 
 
 def _open(driver: Driver) -> Driver:
@@ -244,14 +242,14 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     sources = [source for source in rig.source if source.driver == "can"]
     if len(sources) != 1:
         advice = 'describe the frames by one [[source]] with driver = "can"'
-        raise RecordingError.at(str(path), "a CAN log needs the CAN source it was heard on", advice)
+        raise RecordingError.at(path, "a CAN log needs the CAN source it was heard on", advice)
     source = sources[0]
     recording = driver_class("can-log")
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     missing = [name for name in channels if name not in source.map]
     if missing:
         raise RecordingError.at(
-            str(path), f"the CAN source does not carry {', '.join(missing)}", "map every channel"
+            path, f"the CAN source does not carry {', '.join(missing)}", "map every channel"
         )
     keys = recording.settings_model.model_fields.keys() & source.settings.model_fields_set
     layout = {key: getattr(source.settings, key) for key in keys}

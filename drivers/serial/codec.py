@@ -9,11 +9,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.crc import Crc
 from drivers.fields import ByteArray, Layout
-from drivers.port import Counts, FloatArray, IntArray, Trace
+from drivers.port import BoolArray, Counts, FloatArray, IntArray, Trace
 
 Samples = tuple[FloatArray, IntArray | None]
 """Values (n, m) and counters (n,), or None without a counter."""
@@ -153,15 +152,15 @@ class BinaryDecoder(SerialDecoder):
         rows: ByteArray = text[places[:, None] + np.arange(first, self._size)]
         return rows
 
-    def _sound(self, text: ByteArray, places: IntArray) -> NDArray[np.bool_]:
+    def _sound(self, text: ByteArray, places: IntArray) -> BoolArray:
         if self._crc is None:
             return self._followed(text, places)
         rows = self._rows(text, places)
         body, check = rows[:, : self._layout.size], rows[:, self._layout.size :]
-        good: NDArray[np.bool_] = (self._crc.bytes_of(body) == check).all(axis=1)
+        good: BoolArray = (self._crc.bytes_of(body) == check).all(axis=1)
         return good
 
-    def _followed(self, text: ByteArray, places: IntArray) -> NDArray[np.bool_]:
+    def _followed(self, text: ByteArray, places: IntArray) -> BoolArray:
         """Tell of frames without a check whether the next sync bytes follow, as far as they have come."""
         good = np.ones(len(places), np.bool_)
         for place, byte in enumerate(self._sync):

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.crc import Crc
 from drivers.fields import ByteArray, Layout
-from drivers.port import Counts, Trace
+from drivers.port import BoolArray, Counts, Trace
 from drivers.serial.codec import Samples, SerialDecoder, Skipped
 from drivers.serial.framing import Framing
 
@@ -94,10 +93,10 @@ class EndedDecoder(SerialDecoder):
             self._counts.trace.good(shown, values[-Trace.NEWEST :])
         return values, counter
 
-    def _sound(self, rows: ByteArray) -> NDArray[np.bool_]:
+    def _sound(self, rows: ByteArray) -> BoolArray:
         if self._crc is None or not len(rows):
             return np.ones(len(rows), np.bool_)
-        good: NDArray[np.bool_] = (
+        good: BoolArray = (
             self._crc.bytes_of(rows[:, : self._layout.size]) == rows[:, self._layout.size :]
         ).all(axis=1)
         return good

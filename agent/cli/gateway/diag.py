@@ -44,7 +44,7 @@ def diag(named: Path | None, to: Path) -> Document:
     """
     db = database_of(named)
     if named == db and not os.path.lexists(db):
-        raise StoreError.at(str(db), "there is no such database", "give the path that the agent writes to")
+        raise StoreError.at(db, "there is no such database", "give the path that the agent writes to")
     status, why = _answer(db, "status")
     configs = _configs(named, status)
     redaction = Redaction(configs)

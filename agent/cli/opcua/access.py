@@ -33,7 +33,7 @@ def read_users(path: Path) -> Users:
             raise UsageError.at(f"{path}:{number}", "is no user with the hash of a password", advice)
         found[name] = secret
     if not found:
-        raise UsageError.at(str(path), "holds no user", f"deltak opcua --users {path} --new-user NAME")
+        raise UsageError.at(path, "holds no user", f"deltak opcua --users {path} --new-user NAME")
     return found
 
 
@@ -149,7 +149,5 @@ def check_key(path: Path) -> None:
     try:
         mode = os.stat(path).st_mode  # noqa: PTH116 - a link is followed, as the key is read
     except OSError as error:
-        raise UsageError.at(
-            str(path), f"cannot be read ({error})", "name the file of a private key"
-        ) from error
+        raise UsageError.at(path, f"cannot be read ({error})", "name the file of a private key") from error
     check_closed(path, mode)

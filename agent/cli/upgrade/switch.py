@@ -79,7 +79,7 @@ def checked(program: Path, named: Sequence[Path]) -> Document:
         found = dict(json.loads(done.stdout))
     except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         advice = "it is older than this command, or not whole; nothing was changed"
-        raise UsageError.at(str(program), f"does not say what it would do ({error})", advice) from error
+        raise UsageError.at(program, f"does not say what it would do ({error})", advice) from error
     if found.get("errors"):
         raise UsageError(Fault(**fault) for fault in found["errors"])
     return found

@@ -112,7 +112,7 @@ def read_prior(path: Path) -> Learnt:
         return Learnt(of, float(found["way"]), int(found["n"]), later, traces)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         advice = "write one by deltak fleet learn"
-        raise UsageError.at(str(path), f"holds no prior: {error}", advice) from error
+        raise UsageError.at(path, f"holds no prior: {error}", advice) from error
 
 
 def forecast_document(

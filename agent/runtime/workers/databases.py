@@ -82,7 +82,7 @@ class WorkersDatabases:
                     if self._is_reloading() or self.ending:
                         raise
                 if self._stopped.wait(_AGAIN_S):
-                    raise AgentError.at(str(runs.path), "the agent is ending")
+                    raise AgentError.at(runs.path, "the agent is ending")
 
     def _begun(self, runs: Runs) -> Facts:
         writer = self._opened(runs.path)

@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 
 from agent.records import ClockRecord, Record
-from agent.storage.tables.batches import joined_runs
+from agent.storage.tables.estimates import joined_runs
 from agent.types import AlarmTransition, EstimateBatch
 
 SHORTEST_S, LONGEST_S = 0.2, 5.0

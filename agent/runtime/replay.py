@@ -52,7 +52,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
         playing = begun(rig, recordings)
         stack.callback(playing.close)
         summary = RunSummary(rig, db=None if db is None else str(db))
-        writer = _writer(rig, db)
+        writer = None if db is None else writer_of([rig], db)
         kept = None
         if writer is not None and db is not None:
             stack.callback(writer.stop, timeout_s=600.0)
@@ -268,10 +268,6 @@ def _table(rig: RigConfig, path: Path, beside: Sequence[str] = ()) -> Driver:
     )  # type: ignore[call-arg]  # fmt: skip
     names = (*(channel.name for channel in (*rig.inputs, *rig.outputs)), *beside)
     return recording(SourceRequest(path.name, settings, names))
-
-
-def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
-    return None if db is None else writer_of([rig], db)
 
 
 def writer_of(rigs: Sequence[RigConfig], db: Path) -> StoreWriter:

@@ -142,10 +142,10 @@ class Timeline:
 
     def values(self, index: int) -> dict[str, float]:
         """Return the values that govern the interval from sample `index` to the next."""
-        return {name: self._value(name, index) + self._worn(name, index) for name in self.names}
-
-    def _worn(self, name: str, index: int) -> float:
-        return math.fsum(path.offset(name, index) for path in self._wear)
+        return {
+            name: self._value(name, index) + math.fsum(path.offset(name, index) for path in self._wear)
+            for name in self.names
+        }
 
     def summary(self, end: int) -> list[dict[str, str | int | float]]:
         """Return every change before sample `end`: parameter, first sample, samples it takes, from, to."""

@@ -1,11 +1,13 @@
 """Who may do what: users in a file with their password hashes, and who makes the request that is answered."""
 
 import getpass
+import ipaddress
 import os
 import re
 import sys
 from collections.abc import Mapping
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +22,33 @@ caller: ContextVar[str | None] = ContextVar("caller", default=None)
 """The user that signed in to the session whose request is being answered; None for whoever did not."""
 
 Users = Mapping[str, Secret]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the command line says, but for the databases."""
+
+    host: str = "127.0.0.1"
+    port: int = 4840
+    hostname: str | None = None
+    users: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+    trusted: Path | None = None
+    private: bool = False
+
+    def address(self, port: int) -> str:
+        """Return the URL under which clients reach it."""
+        host = self.hostname or (f"[{self.host}]" if ":" in self.host else self.host)
+        return f"opc.tcp://{host}:{port}/deltak/"
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nobody but this machine can reach it."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
 
 
 def read_users(path: Path) -> Users:
@@ -151,3 +180,20 @@ def check_key(path: Path) -> None:
     except OSError as error:
         raise UsageError.at(path, f"cannot be read ({error})", "name the file of a private key") from error
     check_closed(path, mode)
+
+
+def check(options: Options, users: Users) -> None:
+    """Raise UsageError for options that do not go together or would leave the server open to others."""
+    if (options.certificate is None) != (options.key is None):
+        raise UsageError.at("--certificate", "needs --key, and --key needs it", "give both")
+    if options.key is not None:
+        check_key(options.key)
+    if options.trusted is not None and options.certificate is None:
+        raise UsageError.at(
+            "--trusted", "needs --certificate", "clients show theirs where the server has one"
+        )
+    if options.private and not users:
+        raise UsageError.at("--private", "needs users", "give --users FILE")
+    if not options.is_local and not (users and options.certificate is not None):
+        what = f"others can reach {options.host}, and there are no users or no certificate"
+        raise UsageError.at("--host", what, "give --users, --certificate and --key")

@@ -119,8 +119,8 @@ def _forecast(record: ForecastRecord) -> tuple[Cell, ...]:
     """Return the cells of a forecast that is not scored yet."""
     return (
         record.parameter, record.t_ns, record.level, record.limit, record.status, record.p10_ns,
-        record.p50_ns, record.p90_ns, record.chance, record.horizon_s, record.family, record.draws, record.cause,
-        *(None for _ in _SCORE),
+        record.p50_ns, record.p90_ns, record.chance, record.horizon_s, record.family, record.draws,
+        record.cause, *(None for _ in _SCORE),
     )  # fmt: skip
 
 

@@ -273,13 +273,10 @@ class StoreWriter:
                 lambda: (
                     self._urgent or self._stopping or (self._asked > self._answered and not self._pause.cause)
                 ),
-                self._wait_s(),
+                min(self._period, self._pause.length_s) if self._pause.cause else self._period,
             )
             self._urgent = False
             return self._asked, self._stopping
-
-    def _wait_s(self) -> float:
-        return min(self._period, self._pause.length_s) if self._pause.cause else self._period
 
     def _exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float) -> None:
         self._collect(last=False)

@@ -7,9 +7,8 @@ from dataclasses import replace
 from functools import partial
 
 from agent.alarms.life_cycle import CAUSES
-from agent.blocks.advisory.alarm_states import AlarmStates
+from agent.blocks.advisory.alarm_states import AlarmStates, ReAlarms
 from agent.blocks.advisory.blind_alarms import BLIND_KINDS
-from agent.blocks.advisory.re_alarms import ReAlarms
 from agent.blocks.covariates.readings import instants, readings
 from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns

@@ -23,7 +23,6 @@ class Ledgered(Protocol):
 
     def ledger(self) -> Mapping[str, dict[str, Any]]:
         """Return what was shown, by source."""
-        ...
 
 
 class Device(ABC):

@@ -99,25 +99,20 @@ class Moving(Protocol):
     @property
     def F(self) -> FloatArray:  # noqa: N802 - a letter of the books
         """(n, n) how the state moves itself."""
-        ...
 
     @property
     def G(self) -> FloatArray:  # noqa: N802 - a letter of the books
         """(n, m) how it is pushed."""
-        ...
 
     @property
     def is_sampled(self) -> bool:
         """Whether F x + G u is the next state."""
-        ...
 
     def node(self, name: str) -> int:
         """Return the column of G that belongs to a place."""
-        ...
 
     def output(self, quantity: str, node: str) -> tuple[FloatArray, FloatArray]:
         """Return the rows (h, j) with reading = h x + j u."""
-        ...
 
 
 class System(Protocol):
@@ -126,21 +121,17 @@ class System(Protocol):
     @property
     def nodes(self) -> tuple[str, ...]:
         """Where it is pushed."""
-        ...
 
     @property
     def massless(self) -> frozenset[str]:
         """Nodes without inertia."""
-        ...
 
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the states."""
-        ...
 
     def equations(self, values: Mapping[str, float]) -> Moving:
         """Return the motion for one set of parameters."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from sim_bus.errors import SimUsageError
 from sim_bus.rig.covariates.channel import CovariateChannel
 from sim_bus.rig.domains.built import Built
 from sim_bus.rig.domains.system import KINDS, DomainSystem, DomainTable
-from sim_bus.rig.linear import Linear, LinearSystem
-from sim_bus.rig.matrix_files import with_numbers
+from sim_bus.rig.linear import Linear, LinearSystem, with_numbers
 from sim_bus.rig.plant import GROUND, Graph, Hold, Link, PlantError, System
 from sim_bus.rig.units import si_factor
 

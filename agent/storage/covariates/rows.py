@@ -1,5 +1,5 @@
 # ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
-"""Means of covariates: rows that are thinned to hours when they are old, and read in order of time."""
+"""Means of covariates, thinned to hours when they are old; series whose reference moves with them, merged."""
 
 import sqlite3
 from collections import defaultdict

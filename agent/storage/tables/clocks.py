@@ -1,7 +1,7 @@
 """The settings of the wall clock that the rows of one run were stamped by: each has its own row in `runs`.
 
 So stamps of one such part never go back, and a tier, a purge or a replay that covers one of them touches no
-other.
+other. What stretch of time each covers, and so hides of earlier runs in the views, is here too.
 """
 
 import sqlite3

@@ -1,4 +1,4 @@
-"""Estimate batches as rows, by whole columns: a replay writes tens of thousands of rows a second."""
+"""Estimate batches, joined and as rows, by whole columns: a replay writes tens of thousands a second."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace

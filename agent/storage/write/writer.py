@@ -15,12 +15,11 @@ from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.rows import Plan
 from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import expire_shelves
-from agent.storage.write.backlog import Backlog, Pause, cells_of
+from agent.storage.write.backlog import Backlog, Histogram, Pause, cells_of
 from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.commands import Listeners, serve
 from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import Job, JobQueue
-from agent.storage.write.latency import Histogram
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store, outage
 from agent.types import AlarmTransition, EstimateBatch, Learnt

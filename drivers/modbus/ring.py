@@ -1,6 +1,6 @@
 """A Modbus device that keeps its newest samples in a ring of slots, and counts them in an index register."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -14,7 +14,7 @@ from drivers.modbus.limits import FIRST_S, SHARE
 from drivers.modbus.mode import Ask, Reader
 from drivers.modbus.pace import Carried, Pace
 from drivers.modbus.settings import ModbusSettings
-from drivers.port import BoolArray, Counts, DriverConfigError, IntArray, SampleBlock, SourceRequest
+from drivers.port import BoolArray, DriverConfigError, IntArray, SampleBlock, SourceRequest
 
 INDEX = "index"
 
@@ -51,10 +51,7 @@ class RingReader(Reader):
     device, near the newest (see `drivers.modbus.pace`).
     """
 
-    def __init__(
-        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
-    ):
-        super().__init__(source, settings, counts, note)
+    def set_up(self, source: SourceRequest, settings: ModbusSettings) -> None:
         if settings.ring is None or settings.index is None:
             raise DriverConfigError(f'{source.name}: mode "ring" needs index and ring')
         self.layout = slot_layout(settings.fields, settings.orders)

@@ -16,6 +16,8 @@ FAST_ROOM = 512
 """Played fast, samples that may wait in a device for its reader."""
 _IDLE_S = 0.05
 _REMEMBERED = 100_000
+Render = Callable[[int, bytes], bytes]
+"""Makes what goes over a line from a sample's number and row."""
 
 
 class Lateness:
@@ -92,18 +94,11 @@ class Stream:
         source: its name.
         feed: its samples as rows.
         clock: says which of them have been taken.
-        render: makes what goes over the line from a sample's number and row.
+        render: makes what goes over the line.
         faults: what goes wrong on the line.
     """
 
-    def __init__(
-        self,
-        source: str,
-        feed: Feed,
-        clock: PlayClock,
-        render: Callable[[int, bytes], bytes],
-        faults: LineFaults,
-    ) -> None:
+    def __init__(self, source: str, feed: Feed, clock: PlayClock, render: Render, faults: LineFaults) -> None:
         self.source = source
         self.outlets: list[Outlet] = []
         self._feed = feed

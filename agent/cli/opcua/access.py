@@ -1,6 +1,5 @@
 """Who may do what: users in a file with their password hashes, and who makes the request that is answered."""
 
-import getpass
 import ipaddress
 import os
 import re
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from agent.cli.web.secret import Secret, check_closed, closed_content, write_closed
+from agent.cli.web.secret import Secret, asked_password, check_closed, closed_content, write_closed
 from agent.cli.web.sessions import Attempts
 from agent.clock import wall_ns
 from agent.errors import UsageError
@@ -95,12 +94,7 @@ def add_user(path: Path | None, name: str) -> None:
         raise UsageError.at("--new-user", "needs --users", "name the file that it is added to")
     if _NAME.fullmatch(name) is None:
         raise UsageError.at("--new-user", f"{name!r} is no name", "take letters, digits, . _ @ -, at most 64")
-    if sys.stdin.isatty():
-        password, again = getpass.getpass("password: "), getpass.getpass("once more: ")
-        if password != again:
-            raise UsageError.at("password", "was not the same twice", "try again")
-    else:
-        password = sys.stdin.readline().rstrip("\n")
+    password = asked_password()
     users = dict(read_users(path)) if path.exists() else {}
     users[name] = Secret.of_password(password)
     write_closed(path, "".join(f"{user}:{secret.line()}\n" for user, secret in users.items()))

@@ -1,10 +1,12 @@
 """The password or token that opens a session: kept in a file, a password as its scrypt hash (RFC 7914)."""
 
 import base64
+import getpass
 import hashlib
 import hmac
 import os
 import stat
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -74,6 +76,16 @@ def from_files(password: Path | None, token: Path | None) -> Secret | None:
     if password is not None:
         return _password(password)
     return None if token is None else _token(token)
+
+
+def asked_password() -> str:
+    """Ask for a new password, twice on a terminal. Raises UsageError where the two differ."""
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().rstrip("\n")
+    first, second = getpass.getpass("password: "), getpass.getpass("once more: ")
+    if first != second:
+        raise UsageError.at("password", "was not the same twice", "try again")
+    return first
 
 
 def write_password(path: Path, text: str) -> None:

@@ -172,7 +172,7 @@ def _settle_databases(rigs: RigSet, wanted: Plan) -> None:
             rigs.writers.pop(path).stop()
         elif leaving or entering:
             members = [*entering, *(rigs.configs[name] for name in stay if name not in leaving)]
-            writer.exchange(leaving, runs_of(entering, rigs.kind), *density_of(members))
+            writer.exchange(leaving, runs_of(entering, rigs.kind), density_of(members))
     for name in wanted.leaving:
         del rigs.configs[name], rigs.rigs[name]
         rigs.forecasts.leave(name)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import ceil, isfinite
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from agent.storage.covariates.rows import thin
 from agent.storage.database.checksum import row_crc, with_crc
@@ -69,6 +69,14 @@ class Retention:
     minute_s: float = 90 * 86400.0
     hour_s: float = float("inf")
     max_bytes: float = 1024e6
+
+
+class Density(NamedTuple):
+    """How densely a file holds rows: the periods of estimates (0: all) and commits, s, and for how long."""
+
+    every_s: float
+    keep: Retention
+    commit_s: float
 
 
 def bytes_per_rig_year(

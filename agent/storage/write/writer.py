@@ -20,7 +20,7 @@ from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.commands import Listeners, serve
 from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import Job, JobQueue
-from agent.storage.write.retention import Retention
+from agent.storage.write.retention import Density
 from agent.storage.write.store import Store, outage
 from agent.types import AlarmTransition, EstimateBatch, Learnt
 
@@ -135,24 +135,17 @@ class StoreWriter:
                 self._urgent = True
                 self._condition.notify_all()
 
-    def exchange(
-        self,
-        leaving: Collection[str],
-        entering: Sequence[RunInfo],
-        every_s: float,
-        keep: Retention,
-        commit_s: float,
-    ) -> None:
+    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], density: Density) -> None:
         """End the runs of some rigs, all their records published, and begin others, in the writer's thread.
 
-        every_s, keep and commit_s (the period of batches) hold from now on; a rig that leaves may have no
-        run. Raises StoreError where the store cannot be written at present; nothing is changed then.
+        The density holds from now on; a rig that leaves may have no run. Raises StoreError where the store
+        cannot be written at present; nothing is changed then.
         """
 
         def act(store: Store) -> None:
-            store.retain(keep)
-            self._exchange(leaving, entering, every_s)
-            self._period = commit_s
+            store.retain(density.keep)
+            self._exchange(leaving, entering, density.every_s)
+            self._period = density.commit_s
 
         self._jobs.ask(act)
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from sim_bus.clock import PlayClock
 from sim_bus.devices.oscillator import CovariatesAlone, OwnClock, OwnTrajectory, Pace
-from sim_bus.devices.stream import Render, Stream
+from sim_bus.devices.stream import Encode, Stream
 from sim_bus.devices.wire import Feed, Pack, WireNumber
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import LineFaults, strikes
@@ -110,12 +110,12 @@ class Bench:
         return LineFaults(struck, self.scenario.seed + number, text=text)
 
     def stream(
-        self, number: int, numbers: Sequence[WireNumber], pack: Pack, render: Render, faults: LineFaults
+        self, number: int, numbers: Sequence[WireNumber], pack: Pack, encode: Encode, faults: LineFaults
     ) -> Stream:
         """Return what a source's device sends by itself: fields packed, rendered, struck by faults."""
         source = self.source(number)
         feed = Feed(self.trajectory_of(number), self.rig, source, numbers, pack, faults.strikes)
-        return Stream(source.name, feed, self.clock_of(number), render, faults)
+        return Stream(source.name, feed, self.clock_of(number), encode, faults)
 
     def settings(self, model: type[SettingsType], number: int) -> SettingsType:
         """Return a source's own keys as the driver's settings; SimUsageError lists every fault."""

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from math import ceil, isfinite
 from typing import NamedTuple, Protocol
 
-from agent.storage.covariates.rows import thin
 from agent.storage.database.checksum import row_crc, with_crc
 from agent.storage.database.columns import COLUMN_BITS, TABLES, columns_of
 from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.tables.ages import Part, parts_of, shifts
+from agent.storage.tables.covariates import thin
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.write.consumers.unsent import acknowledged, count_unsent
 from agent.storage.write.rollups import HOUR, MINUTE, SECOND, add_groups, aggregate

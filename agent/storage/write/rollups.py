@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent.storage.covariates.rows import merged
 from agent.storage.database.columns import COLUMN_BITS, numbers_crc
+from agent.storage.tables.covariates import merged
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.types import BoolArray, FloatArray, IntArray, Status

@@ -10,7 +10,6 @@ from typing import Self
 
 from agent.errors import StoreError
 from agent.records import Baseline, ClockRecord, CovariateMean, HealthEvent, Record, RunInfo
-from agent.storage.covariates.rows import newest_means
 from agent.storage.database.columns import insert_rows
 from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.database.connect import (
@@ -42,6 +41,7 @@ from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
 from agent.storage.tables.baselines import plan_of, standing_baselines
+from agent.storage.tables.covariates import newest_means
 from agent.storage.tables.notifications import Outbox, Route, nobody
 from agent.storage.tables.records import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan

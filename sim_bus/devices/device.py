@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
@@ -18,13 +18,6 @@ from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.trajectory import Trajectory
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
-
-
-class Ledgered(Protocol):
-    """Whoever can tell what was shown."""
-
-    def ledger(self) -> Mapping[str, dict[str, Any]]:
-        """Return what was shown, by source."""
 
 
 class Device(ABC):

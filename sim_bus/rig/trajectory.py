@@ -16,8 +16,8 @@ from sim_bus.arrays import FloatArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.covariates.course import Covariates
 from sim_bus.rig.excitation import ForceStream
-from sim_bus.rig.plant import Hold, Moving, PlantError, System, propagate, step
-from sim_bus.rig.rigfile import Channel, RigFile
+from sim_bus.rig.plant import Hold, Moving, PlantError, propagate, step
+from sim_bus.rig.rigfile import Channel, RigFile, System
 from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.schedule import Timeline
 from sim_bus.rig.sensors import SensorChain, noise_for

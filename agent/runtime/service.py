@@ -213,11 +213,15 @@ class Service:
         with self._reloading:  # one after the other, so that READY=1 comes when none is under way
             self._watch.manager.say(RELOADING=1, MONOTONIC_USEC=monotonic_ns() // 1000, STATUS="reloading")
             try:
-                return self.take_up(self.prepare(self._reread()))
+                return self._reloaded(self._reread())
             except (AgentError, DriverConfigError, TimeoutError) as error:
                 return self._refused(error)
             finally:
                 self._watch.manager.say(READY=1, STATUS=self.status.words())
+
+    def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
+        """Exchange rigs; an agent of several workers does so over them."""
+        return self.take_up(self.prepare(configs))
 
     def prepare(self, configs: Sequence[RigConfig]) -> Prepared:
         """Make and open what other configurations need; what runs is untouched. From any thread but `run`'s.

@@ -14,6 +14,7 @@ Each prints as `deltak: error: <key path or file:line>: <what>; <what to do>`.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar, Self
 
 
@@ -46,9 +47,9 @@ class AgentError(Exception):
         return type(self), (self.faults,)
 
     @classmethod
-    def at(cls, path: str, message: str, advice: str = "") -> Self:
+    def at(cls, path: str | Path, message: str, advice: str = "") -> Self:
         """Make the error of a single fault."""
-        return cls([Fault(path, message, advice)])
+        return cls([Fault(str(path), message, advice)])
 
 
 class UsageError(AgentError):

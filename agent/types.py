@@ -7,7 +7,7 @@ Times are integer nanoseconds since the epoch (or since a recording's own start)
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -246,6 +246,17 @@ class AlarmTransition:
     comment: str | None = None
     advice: str | None = None
     percent: float | None = None
+
+    @classmethod
+    def plain(
+        cls, rig: str, kind: AlarmKind, parameter: str, t_ns: int, message: str, *, stands: bool,
+        priority: str = "high", advice: str | None = None,
+    ) -> Self:  # fmt: skip
+        """Return the step of an alarm without a number: raised where its condition stands, else cleared."""
+        before: AlarmState = "NORM" if stands else "UNACK"
+        after: AlarmState = "UNACK" if stands else "RTNUN"
+        cause = "raise" if stands else "clear"
+        return cls(rig, kind, parameter, priority, t_ns, before, after, cause, message, advice=advice)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from decimal import ROUND_HALF_EVEN, Decimal
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.port import IntArray
+from drivers.port import BoolArray, IntArray
 
 _ISO = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d)[T ](?P<clock>\d\d:\d\d(?::\d\d)?)"
@@ -71,7 +71,7 @@ def column_to_ns(text: NDArray[np.uint8], start: IntArray, end: IntArray) -> Int
 
 
 def _accumulate(
-    digits: IntArray, digit: NDArray[np.bool_], after_point: IntArray, negative: NDArray[np.bool_]
+    digits: IntArray, digit: BoolArray, after_point: IntArray, negative: BoolArray
 ) -> IntArray | None:
     seconds = np.zeros(digits.shape[1], np.int64)
     nanoseconds = np.zeros_like(seconds)

@@ -2,12 +2,12 @@
 
 import os
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from sim_bus.clock import PlayClock
-from sim_bus.devices.device import Bench, Device, Ledgered
+from sim_bus.devices.device import Bench, Device
 from sim_bus.devices.factory import make_devices
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import check
@@ -103,7 +103,8 @@ class Player:
             "started_wall_ns": clock.start_wall_ns,
             "fast": clock.fast,
         }
-        return ledger_of(self._rig_file, self._scenario, self.rig, self.devices, played) | started
+        shown = [device.ledger() for device in self.devices]
+        return ledger_of(self._rig_file, self._scenario, self.rig, shown, played) | started
 
 
 def _check_writable(truth: Path | None) -> None:
@@ -117,12 +118,9 @@ def _check_writable(truth: Path | None) -> None:
 
 
 def ledger_of(
-    rig_file: RigFile, scenario: Scenario, rig: Rig, devices: Iterable[Ledgered], played: int
+    rig_file: RigFile, scenario: Scenario, rig: Rig, ledgers: Iterable[Mapping[str, Any]], played: int
 ) -> dict[str, Any]:
     """Return what a rig's devices have played, in samples."""
-    sources: dict[str, dict[str, Any]] = {}
-    for device in devices:
-        sources.update(device.ledger())
     return {
         "rig": rig_file.rig.name,
         "scenario": scenario.title,
@@ -140,5 +138,5 @@ def ledger_of(
             }
             for chain in rig.sensors
         },
-        "sources": sources,
+        "sources": {source: shown for ledger in ledgers for source, shown in ledger.items()},
     }

@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.blocks.recent import Recent
 from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
@@ -24,6 +23,39 @@ from agent.types import (
     WindowConditions,
 )
 
+KEPT = 4
+"""Samples before the current ones that rows may still come of: a quintic hold looks three ahead."""
+
+
+@dataclass(slots=True)
+class Recent:
+    """The current samples and the last few before them."""
+
+    _index: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _t_ns: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    _reason: CodeArray = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
+    _spoilt: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    def append(self, samples: Samples) -> None:
+        """Take the current samples."""
+        count = len(samples.index)
+        fault = samples.fault
+        reason = 0 if fault is None else int(fault.reason)
+        self._index = np.concatenate([self._index[-KEPT:], samples.index])
+        self._t_ns = np.concatenate([self._t_ns[-KEPT:], samples.t_ns])
+        self._reason = np.concatenate([self._reason[-KEPT:], np.full(count, reason, dtype=np.uint8)])
+        self._spoilt = np.concatenate([self._spoilt[-KEPT:], np.full(count, fault is not None)])
+
+    def stamps(self, index: IntArray) -> IntArray:
+        """Return the stamps (N,), ns, of samples."""
+        return self._t_ns[np.searchsorted(self._index, index)]
+
+    def faults(self, index: IntArray) -> tuple[BoolArray, CodeArray]:
+        """Return at which samples (N,) a channel was at fault, and the reason to give for it."""
+        at = np.searchsorted(self._index, index)
+        return self._spoilt[at], self._reason[at]
+
+
 ESTIMATION, FAILURE = "estimation", "failure"
 """What a failure of the numerics is called in events, and the reason of samples that it loses."""
 MOST_STUCK = 0.05
@@ -35,19 +67,15 @@ class Method(Protocol):
 
     def start_segment(self) -> None:
         """Forget the samples before a gap."""
-        ...
 
     def knowledge(self) -> str | None:
         """Return what was learnt, as JSON text; None while that is nothing to rely on."""
-        ...
 
     def adopt(self, content: str) -> None:
         """Begin with what an earlier run learnt."""
-        ...
 
     def hurry(self) -> None:
         """Do nothing but rows from now on: no fit, no search."""
-        ...
 
     def step(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,
@@ -57,12 +85,10 @@ class Method(Protocol):
 
         missing (N, p+m): readings that were filled in. suspect (N, p+m): inputs that may be spikes.
         """
-        ...
 
     @property
     def spikes(self) -> int:
         """Samples so far of which nothing but an input was taken for a spike."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

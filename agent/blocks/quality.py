@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.blocks.sensor_labels import Labelled, Piece, SensorLabels
 from agent.numerics.preprocessing.cleaning import Clean, Cleaner
 from agent.numerics.preprocessing.rows import rows_with
 from agent.numerics.preprocessing.sensor_watch import SensorWatch
-from agent.types import FloatArray, IntArray
+from agent.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +125,7 @@ class Quality:
         if start < len(v):
             yield slice(start, len(v)), True
 
-    def _falls_silent(self, missing: NDArray[np.bool_], start: int) -> int:
+    def _falls_silent(self, missing: BoolArray, start: int) -> int:
         """Return the row from `start` on where a channel is silent too long; the number of rows if none."""
         rest = missing[start:]
         if not rest.any():
@@ -183,7 +182,7 @@ class Quality:
         return labelled
 
 
-def _first_complete(missing: NDArray[np.bool_], start: int) -> int:
+def _first_complete(missing: BoolArray, start: int) -> int:
     """Return the first row from `start` on that lacks no reading; as many as rows if none."""
     complete = ~rows_with(missing[start:])
     return start + int(np.argmax(complete)) if complete.any() else len(missing)

@@ -60,8 +60,4 @@ class SensorAlarms:
     def _transition(self, event: SensorEvent) -> AlarmTransition:
         channel, raised = event.fault.channel, event.standing
         words = f"{channel} {WORDS[event.fault.reason]}" if raised else f"{channel} is sound again"
-        return AlarmTransition(
-            rig=self._rig, kind="sensor", parameter=channel, priority="high", t_ns=event.t_ns,
-            from_state="NORM" if raised else "UNACK", to_state="UNACK" if raised else "RTNUN",
-            cause="raise" if raised else "clear", message=words,
-        )  # fmt: skip
+        return AlarmTransition.plain(self._rig, "sensor", channel, event.t_ns, words, stands=raised)

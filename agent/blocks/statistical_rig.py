@@ -7,7 +7,7 @@ import numpy as np
 from agent.blocks.rig_model import RigModel, estimated, hop_plan, longer_windows, output_noise, rig_model
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain
-from agent.config.model.tables import Channel, MechanicsModel
+from agent.config.model.tables import MechanicsModel
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.inference.tuning import CURVE_SHEET, CURVED_A_PERIOD, DELAY_SHEET
 from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
@@ -79,7 +79,7 @@ def statistical_rig(config: RigConfig) -> Rig:
     pushed = _pushed(config, built.model)
     model = pushed.model
     m = measured + pushed.forces
-    total = _inputs(model)
+    total = model.continuous(model.nominal).m
     others = np.arange(m, total)
     columns = np.concatenate([np.arange(measured), others]).astype(np.int64)
     driven = np.arange(len(columns)) < measured
@@ -98,10 +98,6 @@ def statistical_rig(config: RigConfig) -> Rig:
     )  # fmt: skip
 
 
-def _inputs(model: Model) -> int:
-    return model.continuous(model.nominal).m
-
-
 def _pushed(config: RigConfig, model: Model) -> _Pushed:
     """Put unknown forces beside the measured inputs, and masses that are constants behind the parameters."""
     if not isinstance(model, SensedModel):
@@ -118,7 +114,7 @@ def _pushed(config: RigConfig, model: Model) -> _Pushed:
 def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
     """Put unknown forces and masses into a model without constants of sensors."""
     if isinstance(model, AffineModel):
-        return _pushed_states(model)
+        return _Pushed(_with_state_forces(model), len(model.state_names), ())
     if isinstance(model, DescriptorModel):
         return _pushed_elements(config, model)
     if not isinstance(model, MassSpringDamper):
@@ -130,10 +126,6 @@ def _pushed_alone(config: RigConfig, model: Model) -> _Pushed:
     masses = _uncertain_masses(config, model)
     whole = replace(model, parameters=(*model.parameters, *masses), forces=(*model.forces, *forced))
     return _Pushed(whole, len(forced), masses, weighing)
-
-
-def _pushed_states(model: AffineModel) -> _Pushed:
-    return _Pushed(_with_state_forces(model), len(model.state_names), ())
 
 
 def _pushed_elements(config: RigConfig, model: DescriptorModel) -> _Pushed:
@@ -333,10 +325,6 @@ def estimator_settings(config: RigConfig, resolution: FloatArray) -> EstimatorSe
     limits = np.where(built.limits > 0, built.limits, np.inf)
     return EstimatorSettings(
         rig=statistical_rig(config), plan=HopPlan(plan.window, plan.hop), longer=longer_windows(config, plan),
-        sigma=sigma, sigma_spread=_spreads(config.outputs), floor=floor,
+        sigma=sigma, sigma_spread=np.array([c.noise_sd_spread for c in config.outputs]), floor=floor,
         enough_sd=config.estimator.resolve * limits, wanted_sd=0.1 * limits,
     )  # fmt: skip
-
-
-def _spreads(outputs: tuple[Channel, ...]) -> FloatArray:
-    return np.array([c.noise_sd_spread for c in outputs])

@@ -132,7 +132,7 @@ class Gathering:
 
     def _source(self, name: str) -> dict[str, Any]:
         state, counts = self.acquisition.sources[name], self.counts[name]
-        clock = self._clocks.report(name, *self._skew(name))
+        clock = self._clocks.report(name, *self.acquisition.skews().get(name, (None, None)))
         return {
             "name": name, "received": counts.received, "rejected": dict(counts.rejected + state.refusals()),
             "first_rejected": dict(counts.first), "dropped": dict(counts.dropped),
@@ -143,9 +143,6 @@ class Gathering:
             "skew_s": None if clock is None else clock.skew_s,
             "skew_sd_s": None if clock is None else clock.skew_sd_s,
         }  # fmt: skip
-
-    def _skew(self, name: str) -> tuple[float | None, float | None]:
-        return self.acquisition.skews().get(name, (None, None))
 
     def _rate(self, state: SourceState) -> float | None:
         """Samples a second by the gateway's clock; of a recording None."""

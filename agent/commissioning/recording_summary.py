@@ -65,7 +65,7 @@ def read_recording(config: RigConfig, path: Path) -> Recorded:
         log.warning("%s", fault)
     if recorded is None:
         raise RecordingError.at(
-            str(path), "holds no sample with every channel", "see that channels and columns fit"
+            path, "holds no sample with every channel", "see that channels and columns fit"
         )
     return recorded
 

@@ -82,13 +82,13 @@ def read_header(file: BinaryIO, path: Path) -> RawHeader:
     """Read a file's header. Raises RecordingError when it is none."""
     if file.read(len(MAGIC)) != MAGIC:
         raise RecordingError.at(
-            str(path), "is not a raw recording of this version", "give a .raw file of the agent"
+            path, "is not a raw recording of this version", "give a .raw file of the agent"
         )
     try:
         (length,) = struct.unpack("<I", file.read(4))
         return RawHeader.of(json.loads(file.read(min(length, 1 << 20))))
     except (ValueError, TypeError, KeyError, struct.error) as error:
-        raise RecordingError.at(str(path), "its header is damaged", "use another segment") from error
+        raise RecordingError.at(path, "its header is damaged", "use another segment") from error
 
 
 def read_blocks(path: Path | str, cut: Callable[[int], object] = lambda _left: None) -> Iterator[SampleBlock]:

@@ -138,7 +138,7 @@ def header_of(path: Path) -> RawHeader:
             return blocks.read_header(file, path)
     except OSError as error:
         what = f"cannot be read: {error.strerror or error}"
-        raise RecordingError.at(str(path), what, "look at its permissions") from error
+        raise RecordingError.at(path, what, "look at its permissions") from error
 
 
 def _header(path: Path) -> RawHeader:
@@ -209,7 +209,7 @@ def source_of(rig: RigConfig, path: Path) -> Source:
     named = [source for source in able if source.name == header.source] or able
     if not named:
         advice = "replay it with the configuration it was recorded with"
-        raise RecordingError.at(str(path), "no source of the configuration was recorded there", advice)
+        raise RecordingError.at(path, "no source of the configuration was recorded there", advice)
     if header.config_sha256 != rig.sha256:
         log.info("%s: was recorded with another configuration (%s)", path, header.config_sha256[:12])
     return named[0]

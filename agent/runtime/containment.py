@@ -103,11 +103,8 @@ class IsolatedPipeline:
         return self._pipeline.config.rig.name
 
     def _alarm(self, message: str, *, lost: bool) -> AlarmTransition:
-        return AlarmTransition(
-            rig=self._rig, kind="source", parameter=ESTIMATION, priority="high",
-            t_ns=self._pipeline.newest_ns, from_state="NORM" if lost else "UNACK",
-            to_state="UNACK" if lost else "RTNUN", cause="raise" if lost else "clear", message=message,
-        )  # fmt: skip
+        t_ns = self._pipeline.newest_ns
+        return AlarmTransition.plain(self._rig, "source", ESTIMATION, t_ns, message, stands=lost)
 
 
 def _failed(record: Record) -> TypeGuard[HealthEvent]:

@@ -96,7 +96,7 @@ def prepare(rigs: RigSet, wanted: Plan) -> Prepared:
     """
     failing = next((path for path, writer in rigs.writers.items() if writer.failing), None)
     if failing is not None:
-        raise AgentError.at(str(failing), "cannot be written at present", "reload again when it can")
+        raise AgentError.at(failing, "cannot be written at present", "reload again when it can")
     kept = [c for c in rigs.connections if any(use.rig not in wanted.leaving for use in c.uses)]
     parts = rigs.make(wanted.entering, [connection.key for connection in kept])
     try:
@@ -172,7 +172,7 @@ def _settle_databases(rigs: RigSet, wanted: Plan) -> None:
             rigs.writers.pop(path).stop()
         elif leaving or entering:
             members = [*entering, *(rigs.configs[name] for name in stay if name not in leaving)]
-            writer.exchange(leaving, runs_of(entering, rigs.kind), *density_of(members))
+            writer.exchange(leaving, runs_of(entering, rigs.kind), density_of(members))
     for name in wanted.leaving:
         del rigs.configs[name], rigs.rigs[name]
         rigs.forecasts.leave(name)

@@ -103,12 +103,5 @@ class Lateness:
         )
         words = f"{self._rig}: {state}"
         cause = BEHIND if self.standing else "recovered"
-        return [HealthEvent(self._rig, COMPUTING, t_ns, cause, words), self._alarm(words, t_ns)]
-
-    def _alarm(self, words: str, t_ns: int) -> AlarmTransition:
-        raised = self.standing
-        return AlarmTransition(
-            rig=self._rig, kind="source", parameter=COMPUTING, priority="high", t_ns=t_ns,
-            from_state="NORM" if raised else "UNACK", to_state="UNACK" if raised else "RTNUN",
-            cause="raise" if raised else "clear", message=words,
-        )  # fmt: skip
+        alarm = AlarmTransition.plain(self._rig, "source", COMPUTING, t_ns, words, stands=self.standing)
+        return [HealthEvent(self._rig, COMPUTING, t_ns, cause, words), alarm]

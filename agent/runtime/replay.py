@@ -57,7 +57,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
         playing = begun(rig, recordings)
         stack.callback(playing.close)
         summary = RunSummary(rig, db=None if db is None else str(db))
-        writer = _writer(rig, db)
+        writer = None if db is None else writer_of([rig], db)
         kept = None
         if writer is not None and db is not None:
             stack.callback(writer.stop, timeout_s=600.0)
@@ -157,9 +157,7 @@ def _tracks(rig: RigConfig, recordings: Sequence[Path]) -> list[Track]:
         return [_track(rig, path) for path in recordings]
     if len(own) < len(recordings):
         other = next(path for path in recordings if not is_own(path))
-        raise RecordingError.at(
-            str(other), f"is no recording of the agent like {own[0]}", "replay each by itself"
-        )
+        raise RecordingError.at(other, f"is no recording of the agent like {own[0]}", "replay each by itself")
     sources = {source.name: source for source in (*rig.source, *rig.covariate_source)}
     return [_divided(name, _open(driver), sources[name]) for name, driver in own_recordings(rig, own).items()]
 
@@ -228,10 +226,10 @@ def opened(rig: RigConfig, path: Path) -> Driver:
 
 def _must_be_a_file(path: Path) -> None:
     if path.is_dir():
-        raise RecordingError.at(str(path), "is a folder, no recording", "give the files in it")
+        raise RecordingError.at(path, "is a folder, no recording", "give the files in it")
     if path.exists() and not path.is_file():
         advice = "write what comes from there to a file first"
-        raise RecordingError.at(str(path), "is a pipe or a device, whose end may never come", advice)
+        raise RecordingError.at(path, "is a pipe or a device, whose end may never come", advice)
 
 
 def _open(driver: Driver) -> Driver:
@@ -249,14 +247,14 @@ def _can_log(rig: RigConfig, path: Path) -> Driver:
     sources = [source for source in rig.source if source.driver == "can"]
     if len(sources) != 1:
         advice = 'describe the frames by one [[source]] with driver = "can"'
-        raise RecordingError.at(str(path), "a CAN log needs the CAN source it was heard on", advice)
+        raise RecordingError.at(path, "a CAN log needs the CAN source it was heard on", advice)
     source = sources[0]
     recording = driver_class("can-log")
     channels = [channel.name for channel in (*rig.inputs, *rig.outputs)]
     missing = [name for name in channels if name not in source.map]
     if missing:
         raise RecordingError.at(
-            str(path), f"the CAN source does not carry {', '.join(missing)}", "map every channel"
+            path, f"the CAN source does not carry {', '.join(missing)}", "map every channel"
         )
     keys = recording.settings_model.model_fields.keys() & source.settings.model_fields_set
     layout = {key: getattr(source.settings, key) for key in keys}
@@ -275,10 +273,6 @@ def _table(rig: RigConfig, path: Path, beside: Sequence[str] = ()) -> Driver:
     )  # type: ignore[call-arg]  # fmt: skip
     names = (*(channel.name for channel in (*rig.inputs, *rig.outputs)), *beside)
     return recording(SourceRequest(path.name, settings, names))
-
-
-def _writer(rig: RigConfig, db: Path | None) -> StoreWriter | None:
-    return None if db is None else writer_of([rig], db)
 
 
 def writer_of(rigs: Sequence[RigConfig], db: Path) -> StoreWriter:

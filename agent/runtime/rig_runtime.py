@@ -7,9 +7,8 @@ from dataclasses import replace
 from functools import partial
 
 from agent.alarms.life_cycle import CAUSES
-from agent.blocks.advisory.alarm_states import AlarmStates
+from agent.blocks.advisory.alarm_states import AlarmStates, ReAlarms
 from agent.blocks.advisory.blind_alarms import BLIND_KINDS
-from agent.blocks.advisory.re_alarms import ReAlarms
 from agent.blocks.covariates.readings import instants, readings
 from agent.blocks.source_events import Signs, SourceEvents
 from agent.clock import SampleLabels, monotonic_ns, wall_ns
@@ -150,10 +149,9 @@ class RigRuntime:
         """Take one block of one of the rig's sources; `compute` makes estimates of it."""
         seen_s = arrival.block.arrival_ns / 1e9
         if self._lost.pop(WORKER, False):
-            words = f"{self.config.rig.name}: samples are computed again"
-            self._emit(
-                [self._source_alarm(WORKER, LinkEvent("recovered", words, seen_s), self._wall(), lost=False)]
-            )
+            rig = self.config.rig.name
+            words = f"{rig}: samples are computed again"
+            self._emit([AlarmTransition.plain(rig, "source", WORKER, self._wall(), words, stands=False)])
         if self._lost.get(use.source):
             self.link(use.source, LinkEvent("recovered", f"{use.source}: delivers samples again", seen_s))
         offset = arrival.block.wall_offset_ns
@@ -288,15 +286,8 @@ class RigRuntime:
         records: list[Record] = [HealthEvent(rig, source, t_ns, cause, event.message)]
         if (lost or back) and lost != self._lost.get(source, False):
             self._lost[source] = lost
-            records.append(self._source_alarm(source, event, t_ns, lost=lost))
+            records.append(AlarmTransition.plain(rig, "source", source, t_ns, event.message, stands=lost))
         self._emit(records)
-
-    def _source_alarm(self, source: str, event: LinkEvent, t_ns: int, *, lost: bool) -> AlarmTransition:
-        return AlarmTransition(
-            rig=self.config.rig.name, kind="source", parameter=source, priority="high", t_ns=t_ns,
-            from_state="NORM" if lost else "UNACK", to_state="UNACK" if lost else "RTNUN",
-            cause="raise" if lost else "clear", message=event.message,
-        )  # fmt: skip
 
     def ledger(self, connections: Sequence[Connection]) -> None:
         """Publish the conservation ledger of every source, as of the newest sample.

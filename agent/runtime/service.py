@@ -220,6 +220,7 @@ class Service:
                 self._watch.manager.say(READY=1, STATUS=self.status.words())
 
     def _reloaded(self, configs: Sequence[RigConfig]) -> dict[str, Any]:
+        """Exchange rigs; an agent of several workers does so over them."""
         return self.take_up(self.prepare(configs))
 
     def prepare(self, configs: Sequence[RigConfig]) -> Prepared:

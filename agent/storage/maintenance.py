@@ -63,7 +63,7 @@ def reported(path: Path | str) -> Iterator[None]:
         what = f"{cause_of(error)} ({error})"
         is_held = "locked" in str(error)
         advice = "end the other program that holds it" if is_held else "look at its disk and its permissions"
-        raise StoreError.at(str(path), what, advice) from error
+        raise StoreError.at(path, what, advice) from error
 
 
 def check(path: Path | str) -> Report:
@@ -180,7 +180,7 @@ def checked_path(path: Path | str) -> Path:
 
 def _refuse_missing(path: Path, kind: Kind) -> None:
     if kind is Kind.MISSING:
-        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+        raise StoreError.at(path, "there is no such database", "give the path that the agent writes to")
 
 
 def through_agent(
@@ -227,7 +227,7 @@ def backup(path: Path | str, target: Path | str) -> int:
     path, target = Path(path), Path(target)
     check_place(target)
     if target.exists() or target.is_symlink():
-        raise UsageError.at(str(target), "exists already", "give a name that is free")
+        raise UsageError.at(target, "exists already", "give a name that is free")
     check_writable(target)
     part = beside(target, ".part")
     part.unlink(missing_ok=True)
@@ -237,9 +237,7 @@ def backup(path: Path | str, target: Path | str) -> int:
             source.backup(copy)
             found = problems(copy)
             if found:
-                raise StoreError.at(
-                    str(path), f"the database is damaged ({found[0]})", "run `deltak db repair`"
-                )
+                raise StoreError.at(path, f"the database is damaged ({found[0]})", "run `deltak db repair`")
         part.rename(target)
         sync_folder(target.parent)
     finally:

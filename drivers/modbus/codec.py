@@ -9,11 +9,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.fields import ByteArray, FieldSpec, Layout, Order
 from drivers.modbus.frames import MAX_REGISTERS
-from drivers.port import DriverConfigError, IntArray
+from drivers.port import BoolArray, DriverConfigError, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +82,7 @@ class Ring:
             yield Span(self.address + slot * self.registers, samples * self.registers, first, samples)
             first += samples
 
-    def overtaken(self, first: int, samples: int, head: int) -> NDArray[np.bool_]:
+    def overtaken(self, first: int, samples: int, head: int) -> BoolArray:
         """Tell of each sample if its slot was, or may just be being, overwritten when `head` are written.
 
         The slot of sample n is next used by sample n + slots, or sooner by the first sample after the index
@@ -93,7 +92,7 @@ class Ring:
         raw = numbers % self.modulus
         next_turn = numbers - raw + self.modulus
         same_turn = np.where(raw + self.slots < self.modulus, numbers + self.slots, np.iinfo(np.int64).max)
-        overwritten: NDArray[np.bool_] = np.minimum(same_turn, next_turn + raw % self.slots) <= head
+        overwritten: BoolArray = np.minimum(same_turn, next_turn + raw % self.slots) <= head
         return overwritten
 
     def raw(self, first: int, samples: int) -> IntArray:

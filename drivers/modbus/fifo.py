@@ -1,14 +1,12 @@
 """A Modbus device that offers its samples in a queue, function 24."""
 
-from collections.abc import Callable
-
 from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus.codec import slot_layout, slots_of
 from drivers.modbus.frames import FIFO, FIFO_REGISTERS, Request
 from drivers.modbus.mode import Ask, Reader
 from drivers.modbus.settings import ModbusSettings
-from drivers.port import Counts, SampleBlock, SourceRequest
+from drivers.port import SampleBlock, SourceRequest
 
 _WIDEST = 1 << 62
 """A counter of more values wraps with the numbers themselves, beyond which its modulus lies."""
@@ -21,10 +19,7 @@ class FifoReader(Reader):
     empty the queue); without one every reply is taken for new samples.
     """
 
-    def __init__(
-        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
-    ):
-        super().__init__(source, settings, counts, note)
+    def set_up(self, source: SourceRequest, settings: ModbusSettings) -> None:
         self.layout = slot_layout(settings.fields, settings.orders)
         self._request = Request(settings.device_id, FIFO, settings.address or 0)
         self._full = FIFO_REGISTERS // (self.layout.size // 2)

@@ -50,6 +50,11 @@ class Reader(ABC):
         """Seconds that requests without a good answer took; the driver counts them."""
         self.due = 0.0
         self.epoch = 0
+        self.set_up(source, settings)
+
+    @abstractmethod
+    def set_up(self, source: SourceRequest, settings: ModbusSettings) -> None:
+        """Make what the mode needs: layout and modulus, and its own place. Raises DriverConfigError."""
 
     @property
     @abstractmethod

@@ -8,12 +8,10 @@ many samples come in a row as it has room for, then the next ones are left out.
 from math import inf
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers import clock
 from drivers.modbus.codec import Ring
 from drivers.modbus.limits import HOPELESS, NEAR, SLOW_S
+from drivers.port import BoolArray
 
 
 class Carried(NamedTuple):
@@ -59,10 +57,9 @@ class Carried(NamedTuple):
     def words(self) -> str:
         """What is wrong, in words."""
         return (
-            f"the link is too slow for the device: it carries about {self.carries:.0f} "
-            f"of the {self.needed:.0f} samples a second that are written; "
-            "those that come too late are left out, with gaps (a faster line, a "
-            "nearer gateway, shorter slots or a lower sample rate would help)"
+            f"the link is too slow for the device: it carries about {self.carries:.0f} of the "
+            f"{self.needed:.0f} samples a second that are written; those that come too late are left out, "
+            "with gaps (a faster line, a nearer gateway, shorter slots or a lower sample rate would help)"
         )
 
 
@@ -81,7 +78,7 @@ class Pace:
         """Whether the link is taken for too slow at present."""
         return clock.monotonic() < self._slow_until
 
-    def behind(self, late: NDArray[np.bool_], carried: Carried) -> bool:
+    def behind(self, late: BoolArray, carried: Carried) -> bool:
         """Take which samples (n,) came too late; tell whether the oldest slots cannot be caught up with."""
         self._late = self._late + 1 if 2 * late.sum() > len(late) else 0
         self.carried = self.carried.and_then(carried) if self._late > 1 else carried

@@ -1,6 +1,6 @@
 """Modbus registers that show one sample as it is now: polled each period, neighbours in one request."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from drivers.modbus.limits import GATHER_S
 from drivers.modbus.mode import Ask, Reader, RefusedError
 from drivers.modbus.settings import ModbusField, ModbusSettings
 from drivers.modbus.units import LaterError
-from drivers.port import Counts, DriverIOError, SampleBlock, SourceRequest
+from drivers.port import DriverIOError, SampleBlock, SourceRequest
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,7 @@ class PollReader(Reader):
     on.
     """
 
-    def __init__(
-        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
-    ):
-        super().__init__(source, settings, counts, note)
+    def set_up(self, source: SourceRequest, settings: ModbusSettings) -> None:
         self._fields = sorted(settings.fields, key=lambda field: field.address or 0)
         self._apart: frozenset[int] = frozenset()
         self._plan = poll_plan(self._fields, settings)

@@ -1,11 +1,10 @@
 """A Modbus device that keeps its newest samples in a ring of slots, and counts them in an index register."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import clock
 from drivers.fields import ByteArray, FieldSpec, Layout
@@ -15,7 +14,7 @@ from drivers.modbus.limits import FIRST_S, SHARE
 from drivers.modbus.mode import Ask, Reader
 from drivers.modbus.pace import Carried, Pace
 from drivers.modbus.settings import ModbusSettings
-from drivers.port import Counts, DriverConfigError, IntArray, SampleBlock, SourceRequest
+from drivers.port import BoolArray, DriverConfigError, IntArray, SampleBlock, SourceRequest
 
 INDEX = "index"
 
@@ -52,10 +51,7 @@ class RingReader(Reader):
     device, near the newest (see `drivers.modbus.pace`).
     """
 
-    def __init__(
-        self, source: SourceRequest, settings: ModbusSettings, counts: Counts, note: Callable[[str], None]
-    ):
-        super().__init__(source, settings, counts, note)
+    def set_up(self, source: SourceRequest, settings: ModbusSettings) -> None:
         if settings.ring is None or settings.index is None:
             raise DriverConfigError(f'{source.name}: mode "ring" needs index and ring')
         self.layout = slot_layout(settings.fields, settings.orders)
@@ -196,7 +192,7 @@ class RingReader(Reader):
             self.report("too slow", f"{self.source.name}: {self._pace.carried.words}")
         self._skip_to(self._pace.resume(head))
 
-    def _deliver(self, first: int, data: ByteArray, late: NDArray[np.bool_]) -> SampleBlock:
+    def _deliver(self, first: int, data: ByteArray, late: BoolArray) -> SampleBlock:
         """Return the samples from number `first` on but for those too late (n,), and count all of them."""
         arrival_ns = clock.monotonic_ns()
         every = slots_of(data, self.layout)
@@ -213,7 +209,7 @@ class RingReader(Reader):
             self.epoch,
         )
 
-    def _count(self, slots: ByteArray, first: int, late: NDArray[np.bool_]) -> IntArray:
+    def _count(self, slots: ByteArray, first: int, late: BoolArray) -> IntArray:
         if self._counter is None:
             return self._ring.raw(first, len(late))[~late]
         return self.layout.counter(slots, self._counter)

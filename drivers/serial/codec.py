@@ -9,11 +9,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.crc import Crc
 from drivers.fields import ByteArray, Layout
-from drivers.port import Counts, FloatArray, IntArray, Trace
+from drivers.port import BoolArray, Counts, FloatArray, IntArray, Trace
 
 Samples = tuple[FloatArray, IntArray | None]
 """Values (n, m) and counters (n,), or None without a counter."""
@@ -86,6 +85,55 @@ class Skipped:
         self._begun = True
 
 
+class Frame:
+    """What a binary frame holds, packed fields and then a check, and what is wanted of it.
+
+    Args:
+        layout: of the fields.
+        crc: the check over what `sound` is shown of the fields, low byte first; None where there is none.
+        names: of the fields that are wanted; counter: of the one that numbers samples.
+        counts: where frames are shown.
+
+    Attributes:
+        size: bytes of fields and check.
+        modulus: of the counter; None without one.
+    """
+
+    def __init__(
+        self, layout: Layout, crc: Crc | None, names: Sequence[str], counter: str | None, counts: Counts
+    ) -> None:
+        self._layout = layout
+        self._crc = crc
+        self._names = tuple(names)
+        self._counter = counter
+        self.counts = counts
+        self.size = layout.size + (crc.size if crc else 0)
+        self.steps = layout.resolution(self._names)
+        self.modulus = layout.counter_field(counter).modulus if counter else None
+
+    @property
+    def has_check(self) -> bool:
+        """Tell whether a frame proves itself."""
+        return self._crc is not None
+
+    def sound(self, rows: ByteArray) -> BoolArray:
+        """Tell of each row (n, size) whether its check is right; all of them where there is none."""
+        if self._crc is None or not len(rows):
+            return np.ones(len(rows), np.bool_)
+        body, check = rows[:, : self._layout.size], rows[:, self._layout.size :]
+        return np.asarray((self._crc.bytes_of(body) == check).all(axis=1))
+
+    def samples(self, rows: ByteArray, whole: ByteArray) -> Samples:
+        """Return what sound rows (n, size) say; whole (n, ...): the same with all that the line carried."""
+        body = rows[:, : self._layout.size]
+        counter = self._layout.counter(body, self._counter) if self._counter else None
+        values = self._layout.values(body, self._names)
+        if self.counts.trace is not None:
+            shown = [row.tobytes().hex(" ") for row in whole[-Trace.NEWEST :]]
+            self.counts.trace.good(shown, values[-Trace.NEWEST :])
+        return values, counter
+
+
 class BinaryDecoder(SerialDecoder):
     """Frames of one length: sync bytes, packed fields, check (low byte first, over all after sync).
 
@@ -93,25 +141,13 @@ class BinaryDecoder(SerialDecoder):
     bytes, else "sync") as they make up, or, when fewer than half a frame, as stray.
     """
 
-    def __init__(
-        self,
-        sync: bytes,
-        layout: Layout,
-        crc: Crc | None,
-        names: Sequence[str],
-        counter: str | None,
-        counts: Counts,
-    ) -> None:
+    def __init__(self, sync: bytes, frame: Frame) -> None:
         self._sync = np.frombuffer(sync, np.uint8)
-        self._layout = layout
-        self._crc = crc
-        self._names = tuple(names)
-        self._counter = counter
-        self._counts = counts
-        self._size = len(sync) + layout.size + (crc.size if crc else 0)
-        self._steps = layout.resolution(self._names)
-        self.modulus = layout.counter_field(counter).modulus if counter else None
-        self._skipped = Skipped(counts, self._size)
+        self._frame = frame
+        self._counts = frame.counts
+        self._size = len(sync) + frame.size
+        self.modulus = frame.modulus
+        self._skipped = Skipped(frame.counts, self._size)
         self.restart()
 
     def restart(self) -> None:
@@ -119,7 +155,7 @@ class BinaryDecoder(SerialDecoder):
         self._skipped.restart()
 
     def resolution(self) -> tuple[float, ...]:
-        return self._steps
+        return self._frame.steps
 
     def feed(self, data: bytes) -> Samples:
         text = np.frombuffer(self._rest + data, np.uint8)
@@ -147,21 +183,15 @@ class BinaryDecoder(SerialDecoder):
             match &= text[place : place + last] == byte
         return np.flatnonzero(match)
 
-    def _rows(self, text: ByteArray, places: IntArray) -> ByteArray:
-        """Return what follows the sync bytes of each frame, (n, fields and check)."""
-        first = len(self._sync)
-        rows: ByteArray = text[places[:, None] + np.arange(first, self._size)]
-        return rows
+    def _whole(self, text: ByteArray, places: IntArray) -> ByteArray:
+        return np.asarray(text[places[:, None] + np.arange(self._size)])
 
-    def _sound(self, text: ByteArray, places: IntArray) -> NDArray[np.bool_]:
-        if self._crc is None:
-            return self._followed(text, places)
-        rows = self._rows(text, places)
-        body, check = rows[:, : self._layout.size], rows[:, self._layout.size :]
-        good: NDArray[np.bool_] = (self._crc.bytes_of(body) == check).all(axis=1)
-        return good
+    def _sound(self, text: ByteArray, places: IntArray) -> BoolArray:
+        if self._frame.has_check:
+            return self._frame.sound(self._whole(text, places)[:, len(self._sync) :])
+        return self._followed(text, places)
 
-    def _followed(self, text: ByteArray, places: IntArray) -> NDArray[np.bool_]:
+    def _followed(self, text: ByteArray, places: IntArray) -> BoolArray:
         """Tell of frames without a check whether the next sync bytes follow, as far as they have come."""
         good = np.ones(len(places), np.bool_)
         for place, byte in enumerate(self._sync):
@@ -203,17 +233,9 @@ class BinaryDecoder(SerialDecoder):
         return str(self._sync.tobytes().hex(" "))
 
     def _samples(self, text: ByteArray, starts: IntArray) -> Samples:
-        body = self._rows(text, starts)[:, : self._layout.size]
+        whole = self._whole(text, starts)
         self._counts.received += len(starts)
-        counter = self._layout.counter(body, self._counter) if self._counter else None
-        values = self._layout.values(body, self._names)
-        if self._counts.trace is not None:
-            frames = [
-                text[start : start + self._size].tobytes().hex(" ")
-                for start in starts[-Trace.NEWEST :].tolist()
-            ]
-            self._counts.trace.good(frames, values[-Trace.NEWEST :])
-        return values, counter
+        return self._frame.samples(whole[:, len(self._sync) :], whole)
 
 
 def _apart(places: IntArray, size: int) -> IntArray:

@@ -1,14 +1,8 @@
 """Frames that an end divides (COBS, SLIP) on a serial line to samples. Pure: no I/O."""
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.crc import Crc
-from drivers.fields import ByteArray, Layout
-from drivers.port import Counts, Trace
-from drivers.serial.codec import Samples, SerialDecoder, Skipped
+from drivers.serial.codec import Frame, Samples, SerialDecoder, Skipped
 from drivers.serial.framing import Framing
 
 
@@ -19,26 +13,14 @@ class EndedDecoder(SerialDecoder):
     nothing); what is no frame is counted by its bytes, as so many frames as they make up.
     """
 
-    def __init__(
-        self,
-        framing: Framing,
-        layout: Layout,
-        crc: Crc | None,
-        names: Sequence[str],
-        counter: str | None,
-        counts: Counts,
-    ) -> None:
+    def __init__(self, framing: Framing, frame: Frame) -> None:
         self._framing = framing
-        self._layout = layout
-        self._crc = crc
-        self._names = tuple(names)
-        self._counter = counter
-        self._counts = counts
-        self._size = layout.size + (crc.size if crc else 0)
+        self._fields = frame
+        self._counts = frame.counts
+        self._size = frame.size
         self._longest = 2 * self._size + 2
-        self._steps = layout.resolution(self._names)
-        self.modulus = layout.counter_field(counter).modulus if counter else None
-        self._skipped = Skipped(counts, self._size + 2)
+        self.modulus = frame.modulus
+        self._skipped = Skipped(frame.counts, self._size + 2)
         self.restart()
 
     def restart(self) -> None:
@@ -47,7 +29,7 @@ class EndedDecoder(SerialDecoder):
         self._skipped.restart()
 
     def resolution(self) -> tuple[float, ...]:
-        return self._steps
+        return self._fields.steps
 
     def feed(self, data: bytes) -> Samples:
         *pieces, rest = (self._rest + data).split(self._framing.end)
@@ -80,24 +62,10 @@ class EndedDecoder(SerialDecoder):
 
     def _samples(self, frames: list[bytes]) -> Samples:
         rows = np.frombuffer(b"".join(frames), np.uint8).reshape(len(frames), self._size)
-        good = self._sound(rows)
+        good = self._fields.sound(rows)
         self._counts.received += len(rows)
         if not good.all():
             self._counts.rejected["crc"] += int((~good).sum())
             self._counts.show_bad("crc", *(row.tobytes().hex(" ") for row in rows[~good]))
             rows = rows[good]
-        body = rows[:, : self._layout.size]
-        counter = self._layout.counter(body, self._counter) if self._counter else None
-        values = self._layout.values(body, self._names)
-        if self._counts.trace is not None:
-            shown = [row.tobytes().hex(" ") for row in rows[-Trace.NEWEST :]]
-            self._counts.trace.good(shown, values[-Trace.NEWEST :])
-        return values, counter
-
-    def _sound(self, rows: ByteArray) -> NDArray[np.bool_]:
-        if self._crc is None or not len(rows):
-            return np.ones(len(rows), np.bool_)
-        good: NDArray[np.bool_] = (
-            self._crc.bytes_of(rows[:, : self._layout.size]) == rows[:, self._layout.size :]
-        ).all(axis=1)
-        return good
+        return self._fields.samples(rows, rows)

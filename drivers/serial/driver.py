@@ -18,7 +18,7 @@ from drivers.port import (
     SourceRequest,
 )
 from drivers.serial import patterns
-from drivers.serial.codec import BinaryDecoder, SerialDecoder
+from drivers.serial.codec import BinaryDecoder, Frame, SerialDecoder
 from drivers.serial.delimited import EndedDecoder
 from drivers.serial.framing import FRAMINGS
 from drivers.serial.text import TextDecoder
@@ -130,12 +130,12 @@ class SerialDriver(Driver):
         settings = self._settings
         layout = Layout(settings.fields, settings.byte_order)
         check = crc.by_name(settings.crc) if settings.crc else None
-        rest = (layout, check, self.request.fields, self.request.counter, self.counts)
+        frame = Frame(layout, check, self.request.fields, self.request.counter, self.counts)
         if settings.framing != "sync":
-            return EndedDecoder(FRAMINGS[settings.framing], *rest)
+            return EndedDecoder(FRAMINGS[settings.framing], frame)
         if settings.sync is None:
             raise DriverConfigError(f'{self.request.name}: format "binary" needs sync')
-        return BinaryDecoder(bytes.fromhex(settings.sync), *rest)
+        return BinaryDecoder(bytes.fromhex(settings.sync), frame)
 
     def _text(self) -> TextDecoder:
         settings = self._settings

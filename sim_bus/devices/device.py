@@ -1,14 +1,16 @@
 """What every simulated device has: a life, a place in the ledger, a clock shared with the others."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
 from sim_bus.clock import PlayClock
 from sim_bus.devices.oscillator import CovariatesAlone, OwnClock, OwnTrajectory, Pace
+from sim_bus.devices.stream import Encode, Stream
+from sim_bus.devices.wire import Feed, Pack, WireNumber
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import LineFaults, strikes
 from sim_bus.rig.rigfile import RigFile, Source, checked
@@ -16,14 +18,6 @@ from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.trajectory import Trajectory
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
-
-
-class Ledgered(Protocol):
-    """Whoever can tell what was shown."""
-
-    def ledger(self) -> Mapping[str, dict[str, Any]]:
-        """Return what was shown, by source."""
-        ...
 
 
 class Device(ABC):
@@ -107,6 +101,14 @@ class Bench:
         source = self.source(number)
         struck = strikes(self.scenario, source.driver, source.name, self.rig.rate_hz(number))
         return LineFaults(struck, self.scenario.seed + number, text=text)
+
+    def stream(
+        self, number: int, numbers: Sequence[WireNumber], pack: Pack, encode: Encode, faults: LineFaults
+    ) -> Stream:
+        """Return what a source's device sends by itself: fields packed, rendered, struck by faults."""
+        source = self.source(number)
+        feed = Feed(self.trajectory_of(number), self.rig, source, numbers, pack, faults.strikes)
+        return Stream(source.name, feed, self.clock_of(number), encode, faults)
 
     def settings(self, model: type[SettingsType], number: int) -> SettingsType:
         """Return a source's own keys as the driver's settings; SimUsageError lists every fault."""

@@ -9,9 +9,8 @@ cubic through four samples, forces as they are held.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_bus.arrays import FloatArray
+from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.clock import PlayClock
 from sim_bus.rig.trajectory import CHUNK, Chunk, Rig, Trajectory
 
@@ -134,14 +133,14 @@ class OwnTrajectory(Trajectory):
         return np.concatenate([chunk.states[:, place] for chunk in chunks])
 
 
-def _hermite(y: FloatArray, slope: FloatArray, i: NDArray[np.int64], s: FloatArray) -> FloatArray:
+def _hermite(y: FloatArray, slope: FloatArray, i: IntArray, s: FloatArray) -> FloatArray:
     """Return the cubic through two samples with their slopes (per sample), s of the way from sample i on."""
     rest = 1.0 - s
     ends = rest**2 * (1.0 + 2.0 * s) * y[i] + s**2 * (3.0 - 2.0 * s) * y[i + 1]
     return np.asarray(ends + s * rest**2 * slope[i] - s**2 * rest * slope[i + 1])
 
 
-def _cubic(y: FloatArray, i: NDArray[np.int64], s: FloatArray) -> FloatArray:
+def _cubic(y: FloatArray, i: IntArray, s: FloatArray) -> FloatArray:
     """Return the cubic through the samples i − 1 .. i + 2 (at the beginning 0 .. 3), s beyond sample i."""
     first = np.maximum(i - 1, 0)
     x = s + (i - first)

@@ -17,7 +17,7 @@ from sim_bus.devices import guard
 from sim_bus.devices.device import Bench, Device
 from sim_bus.devices.pty_line import PtyLine
 from sim_bus.devices.stream import Outlet, Stream
-from sim_bus.devices.wire import Feed, Pack, Raw, WireNumber, split
+from sim_bus.devices.wire import Pack, Raw, WireNumber, split
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.rigfile import Source
 
@@ -166,8 +166,7 @@ def make_stream(bench: Bench, number: int) -> Stream:
             WireNumber.of_type(field.name, field.type, field.scale, field.offset) for field in settings.fields
         ]
         pack = binary_packer(settings)
-    feed = Feed(bench.trajectory_of(number), bench.rig, source, numbers, pack, faults.strikes)
-    return Stream(source.name, feed, bench.clock_of(number), lambda _index, row: row, faults)
+    return bench.stream(number, numbers, pack, lambda _index, row: row, faults)
 
 
 def greeting(settings: SerialSettings) -> bytes:

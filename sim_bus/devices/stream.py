@@ -16,6 +16,8 @@ FAST_ROOM = 512
 """Played fast, samples that may wait in a device for its reader."""
 _IDLE_S = 0.05
 _REMEMBERED = 100_000
+Encode = Callable[[int, bytes], bytes]
+"""Makes what goes over a line from a sample's number and row."""
 
 
 class Lateness:
@@ -92,23 +94,16 @@ class Stream:
         source: its name.
         feed: its samples as rows.
         clock: says which of them have been taken.
-        render: makes what goes over the line from a sample's number and row.
+        encode: makes what goes over the line.
         faults: what goes wrong on the line.
     """
 
-    def __init__(
-        self,
-        source: str,
-        feed: Feed,
-        clock: PlayClock,
-        render: Callable[[int, bytes], bytes],
-        faults: LineFaults,
-    ) -> None:
+    def __init__(self, source: str, feed: Feed, clock: PlayClock, encode: Encode, faults: LineFaults) -> None:
         self.source = source
         self.outlets: list[Outlet] = []
         self._feed = feed
         self._clock = clock
-        self._render = render
+        self._encode = encode
         self._faults = faults
         self._next = 0
         self._frames = 0
@@ -149,7 +144,7 @@ class Stream:
             self._unheard.add(first, end - 1)
             return
         for number, row in enumerate(self._feed.rows(first, end), first):
-            data = self._faults.apply(number, self._render(number, row))
+            data = self._faults.apply(number, self._encode(number, row))
             taken = [outlet.put(data) for outlet in self.outlets]
             if all(taken):
                 self._frames += 1

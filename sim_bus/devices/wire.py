@@ -9,9 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_bus.arrays import FloatArray
+from sim_bus.arrays import BoolArray, FloatArray, IntArray
 from sim_bus.devices.wire_faults import NumberFaults
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.covariates.channel import CovariateChannel
@@ -19,7 +18,7 @@ from sim_bus.rig.faults import Strike
 from sim_bus.rig.rigfile import Channel, RigFile, Source
 from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Trajectory
 
-NumberArray = NDArray[np.int64] | NDArray[np.float64]
+NumberArray = IntArray | FloatArray
 Raw = Mapping[str, NumberArray]
 Pack = Callable[[Raw], Sequence[bytes]]
 
@@ -56,7 +55,7 @@ class WireNumber:
         """After how many steps a counter in this field begins again."""
         return 1 if self.low is None or self.high is None else self.high - self.low + 1
 
-    def encode(self, values: FloatArray) -> tuple[NumberArray, NDArray[np.bool_]]:
+    def encode(self, values: FloatArray) -> tuple[NumberArray, BoolArray]:
         """Return raw numbers of the field's values and where they had to be held at an end of the range."""
         scaled = (values - self.offset) / self.scale
         if self.low is None or self.high is None:
@@ -71,7 +70,7 @@ class WireNumber:
         held = np.clip(rounded, float(self.low), top)
         return held.astype(np.int64), held != rounded
 
-    def count(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
+    def count(self, index: IntArray) -> IntArray:
         """Return sample numbers as this field counts them: from 0 on, wrapping in the bits that it has."""
         if self.high is None or self.modulus >= 2**63:
             return index
@@ -108,15 +107,15 @@ class Feed:
         struck = signals or list(self._columns)
         self._faults = NumberFaults(strikes, [(field, tops[field]) for field in struck])
         self._rows: deque[tuple[int, Sequence[bytes]]] = deque(maxlen=KEPT)
-        self._saturated: dict[int, dict[str, NDArray[np.bool_]]] = {}
+        self._saturated: dict[int, dict[str, BoolArray]] = {}
         self._past: Counter[str] = Counter()
 
-    def raw(self, chunk: Chunk) -> tuple[dict[str, NumberArray], dict[str, NDArray[np.bool_]]]:
+    def raw(self, chunk: Chunk) -> tuple[dict[str, NumberArray], dict[str, BoolArray]]:
         """Return every field's raw numbers, and where a field could not hold its value."""
         index = np.arange(chunk.first, chunk.first + len(chunk))
         counted = self._faults.counted(index)
         raw: dict[str, NumberArray] = {}
-        held: dict[str, NDArray[np.bool_]] = {}
+        held: dict[str, BoolArray] = {}
         for number in self._numbers:
             if number.name in self._counters:
                 raw[number.name] = number.count(counted)
@@ -148,7 +147,7 @@ class Feed:
         self._remember(number, held)
         return rows
 
-    def _remember(self, number: int, held: dict[str, NDArray[np.bool_]]) -> None:
+    def _remember(self, number: int, held: dict[str, BoolArray]) -> None:
         self._saturated[number] = {name: where for name, where in held.items() if where.any()}
         for old in [made for made in self._saturated if made <= number - KEPT]:
             self._past.update({name: int(where.sum()) for name, where in self._saturated.pop(old).items()})

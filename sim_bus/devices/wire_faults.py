@@ -3,14 +3,13 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_bus.arrays import IntArray
+from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.fault_names import COUNTERS, NUMBERS
 from sim_bus.rig.faults import Strike
 
-NumberArray = NDArray[np.int64] | NDArray[np.float64]
+NumberArray = IntArray | FloatArray
 LEAP = 1000
 FAR = 1e6
 """What a field that is a float shows out of its range."""

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.columns import read_column
+from sim_bus.tables import Table
 
 _NEEDS = {
     "random": ("rms",),
@@ -24,7 +25,7 @@ _NEEDS = {
 }
 
 
-class Force(BaseModel):
+class Force(Table):
     """One [[force]] of a scenario. Without `at` it acts wherever the configuration has a force channel.
 
     random: normal, `rms`, N. sweep: `amplitude`, `from_hz` to `to_hz` in `over_s`, again and again. steps:
@@ -33,8 +34,6 @@ class Force(BaseModel):
     deviation). recorded: `column` of an NPZ or CSV `file`, times `gain`, again and again. Outside `from_s` ..
     `until_s` it is 0.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     kind: Literal["random", "sweep", "steps", "impacts", "recorded", "none"]
     at: str | None = None

@@ -13,13 +13,14 @@ the samples is exact: matrix exponentials of [[F, G, 0], [0, 0, I], [0, 0, 0]].
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from sim_bus.arrays import FloatArray
+from sim_bus.rig.domains.built import LinearMotion
 
 Hold = Literal["first", "zero"]
 GROUND = "ground"
@@ -93,56 +94,6 @@ class Graph:
         return rows.T @ (np.array([constants[link.name] for link in links]).reshape(-1, 1) * rows)
 
 
-class Moving(Protocol):
-    """x' = F x + G u for one set of parameters, or F x + G u the next state of a model in discrete time."""
-
-    @property
-    def F(self) -> FloatArray:  # noqa: N802 - a letter of the books
-        """(n, n) how the state moves itself."""
-        ...
-
-    @property
-    def G(self) -> FloatArray:  # noqa: N802 - a letter of the books
-        """(n, m) how it is pushed."""
-        ...
-
-    @property
-    def is_sampled(self) -> bool:
-        """Whether F x + G u is the next state."""
-        ...
-
-    def node(self, name: str) -> int:
-        """Return the column of G that belongs to a place."""
-        ...
-
-    def output(self, quantity: str, node: str) -> tuple[FloatArray, FloatArray]:
-        """Return the rows (h, j) with reading = h x + j u."""
-        ...
-
-
-class System(Protocol):
-    """What moves: places where it is pushed, states, parameters."""
-
-    @property
-    def nodes(self) -> tuple[str, ...]:
-        """Where it is pushed."""
-        ...
-
-    @property
-    def massless(self) -> frozenset[str]:
-        """Nodes without inertia."""
-        ...
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states."""
-        ...
-
-    def equations(self, values: Mapping[str, float]) -> Moving:
-        """Return the motion for one set of parameters."""
-        ...
-
-
 @dataclass(frozen=True)
 class Motion:
     """x' = F x + G u for one set of parameters; `light` gives the velocities of the massless nodes."""
@@ -168,6 +119,9 @@ class Motion:
             raise PlantError(f'"{node}" has no mass, and so no acceleration that a sensor could read')
         row = nodes + int(np.flatnonzero(self.graph.heavy == number)[0])
         return self.F[row], self.G[row]
+
+
+Moving = Motion | LinearMotion
 
 
 def equations(graph: Graph, values: Mapping[str, float]) -> Motion:

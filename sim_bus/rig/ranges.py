@@ -1,7 +1,8 @@
 """Runs of sample numbers, kept as (first, last), for the ledger."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sim_bus.arrays import IntArray
 
 MOST = 10_000
 
@@ -21,7 +22,7 @@ class Runs:
         elif len(self._runs) < MOST:
             self._runs.append((first, last))
 
-    def add_each(self, index: NDArray[np.int64]) -> None:
+    def add_each(self, index: IntArray) -> None:
         """Add single numbers, in order."""
         if not len(index):
             return

@@ -12,10 +12,10 @@ from sim_bus.errors import SimUsageError
 from sim_bus.rig.covariates.channel import CovariateChannel
 from sim_bus.rig.domains.built import Built
 from sim_bus.rig.domains.system import KINDS, DomainSystem, DomainTable
-from sim_bus.rig.linear import Linear, LinearSystem
-from sim_bus.rig.matrix_files import with_numbers
-from sim_bus.rig.plant import GROUND, Graph, Hold, Link, PlantError, System
+from sim_bus.rig.linear import Linear, LinearSystem, with_numbers
+from sim_bus.rig.plant import GROUND, Graph, Hold, Link, PlantError
 from sim_bus.rig.units import si_factor
+from sim_bus.tables import Part
 
 Quantity = Literal[
     "force", "displacement", "velocity", "acceleration", "input", "output",
@@ -27,21 +27,19 @@ _PLAYED = (
 )
 SLOW_HZ = 1.0
 """How often a device of covariates alone samples where nothing says so (and no faster than the rig)."""
+System = Graph | LinearSystem | DomainSystem
+"""What moves: places where it is pushed, states, parameters."""
 ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-
-class Named(_Part):
+class Named(Part):
     """A mass: name and value, kg."""
 
     name: str
     value: float = Field(ge=0, allow_inf_nan=False)
 
 
-class Element(_Part):
+class Element(Part):
     """A spring, damper or dry friction between two nodes."""
 
     name: str
@@ -49,7 +47,7 @@ class Element(_Part):
     nominal: float = Field(allow_inf_nan=False)
 
 
-class Channel(_Part):
+class Channel(Part):
     """One signal: what is sensed where, and how a reading is written in the channel's unit."""
 
     name: str
@@ -79,7 +77,7 @@ class Channel(_Part):
         return self
 
 
-class Mechanics(_Part):
+class Mechanics(Part):
     """Masses, springs, dampers and dry friction."""
 
     kind: Literal["mass-spring-damper"] = "mass-spring-damper"
@@ -122,14 +120,14 @@ class Mechanics(_Part):
         }
 
 
-class Rig(_Part):
+class Rig(Part):
     """The [rig] table."""
 
     name: str
     sample_rate_hz: float = Field(gt=0, allow_inf_nan=False)
 
 
-class Estimator(_Part):
+class Estimator(Part):
     """Of [estimator]: what the input does between samples."""
 
     hold: Hold = "first"
@@ -167,7 +165,7 @@ def _kind(raw: object) -> str:
     return _LINEAR if kind == _LINEAR else _MECHANICAL
 
 
-class RigFile(_Part):
+class RigFile(Part):
     """A configuration as far as the simulator reads it."""
 
     rig: Rig

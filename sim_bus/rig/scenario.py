@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.covariates.course import Covariate
@@ -17,6 +17,7 @@ from sim_bus.rig.rigfile import Channel, Mechanics, Quantity, RigFile, checked, 
 from sim_bus.rig.schedule import Change, Draw
 from sim_bus.rig.sensors import Oscillator, Sensor
 from sim_bus.rig.wear import Wear
+from sim_bus.tables import Table
 
 _NAMED = 20
 SEED_VARIABLE = "DELTAK_SEED"
@@ -26,24 +27,20 @@ _FAULT = re.compile(
 )
 
 
-class Initial(BaseModel):
+class Initial(Table):
     """[initial]: the state at sample 0: `all` for every displacement (m) and velocity (m/s), or by mass.
 
     `state` names states, those of a linear rig as well.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     all: float = 0.0
-    displacement: dict[str, float] = {}
-    velocity: dict[str, float] = {}
-    state: dict[str, float] = {}
+    displacement: dict[str, float] = Field(default_factory=dict)
+    velocity: dict[str, float] = Field(default_factory=dict)
+    state: dict[str, float] = Field(default_factory=dict)
 
 
-class FaultAt(BaseModel):
+class FaultAt(Table):
     """One [[fault]]: `name` as in `--fault NAME@T`, `at_s`, and for how long where it lasts; which one."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     at_s: float = Field(ge=0)
@@ -73,7 +70,7 @@ _BROKEN: Mapping[str, dict[str, Any]] = {
 """What the faults of sensors are, as [[sensor]] says it."""
 
 
-class Scenario(BaseModel):
+class Scenario(Table):
     """What is played.
 
     `duration_s` 0 is without end. `start`: the clock starts when every source has met a reader, or when the
@@ -82,15 +79,13 @@ class Scenario(BaseModel):
     [expect] what is then to be found.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     title: str = ""
     seed: int = Field(default=0, ge=0)
     duration_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     start: Literal["reader", "ready"] = "reader"
     initial: Initial = Initial()
     force: tuple[Force, ...] = ()
-    noise: dict[Quantity, float] = {}
+    noise: dict[Quantity, float] = Field(default_factory=dict)
     sensor: tuple[Sensor, ...] = ()
     change: tuple[Change, ...] = ()
     wear: tuple[Wear, ...] = ()
@@ -99,7 +94,7 @@ class Scenario(BaseModel):
     device: tuple[Oscillator, ...] = ()
     fault: tuple[FaultAt, ...] = ()
     rig: str | None = None
-    expect: dict[str, Any] = {}
+    expect: dict[str, Any] = Field(default_factory=dict)
     folder: Path = Path()
 
     @model_validator(mode="after")

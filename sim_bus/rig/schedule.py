@@ -10,23 +10,23 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from sim_bus.tables import Table
 
 Values = Mapping[str, float]
 
 
-class Change(BaseModel):
+class Change(Table):
     """One [[change]]: from `at_s` on the named parameters move to nominal + delta, value or nominal·(1 + %).
 
     With ramp_s > 0 they go there linearly, in steps of `every_s`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     at_s: float = Field(ge=0)
-    delta: dict[str, float] = {}
-    value: dict[str, float] = {}
-    percent: dict[str, float] = {}
+    delta: dict[str, float] = Field(default_factory=dict)
+    value: dict[str, float] = Field(default_factory=dict)
+    percent: dict[str, float] = Field(default_factory=dict)
     ramp_s: float = Field(default=0.0, ge=0)
     every_s: float = Field(default=0.01, gt=0)
 
@@ -44,14 +44,12 @@ class Change(BaseModel):
         return (*self.delta, *self.value, *self.percent)
 
 
-class Draw(BaseModel):
+class Draw(Table):
     """[draw]: a random schedule.
 
     In each of `segments` stretches of `segment_s`, each parameter of `delta` keeps its nominal value with
     probability `keep`, else moves by a number drawn evenly from one of its intervals.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     segments: int = Field(default=3, ge=1)
     segment_s: float = Field(default=1.0, gt=0)
@@ -142,10 +140,10 @@ class Timeline:
 
     def values(self, index: int) -> dict[str, float]:
         """Return the values that govern the interval from sample `index` to the next."""
-        return {name: self._value(name, index) + self._worn(name, index) for name in self.names}
-
-    def _worn(self, name: str, index: int) -> float:
-        return math.fsum(path.offset(name, index) for path in self._wear)
+        return {
+            name: self._value(name, index) + math.fsum(path.offset(name, index) for path in self._wear)
+            for name in self.names
+        }
 
     def summary(self, end: int) -> list[dict[str, str | int | float]]:
         """Return every change before sample `end`: parameter, first sample, samples it takes, from, to."""

@@ -7,14 +7,15 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.rig.ranges import Runs
 from sim_bus.rig.rigfile import Channel, Quantity
+from sim_bus.tables import Table
 
 
-class Sensor(BaseModel):
+class Sensor(Table):
     """One [[sensor]], in the channel's unit; `from_s` .. `until_s` bounds bias, gain, drift, stuck, rail.
 
     reading = (1 + gain) · true + bias + drift_per_s · (t − from_s) + noise + spikes, then held within ± rail
@@ -22,8 +23,6 @@ class Sensor(BaseModel):
     added to the channel's own. With `measure` "peak" bias, drift_per_s, rail, spike and flicker are shares of
     the largest reading before `from_s`.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     channel: str
     noise_sd: float | None = Field(default=None, ge=0)
@@ -42,14 +41,12 @@ class Sensor(BaseModel):
     until_s: float = float("inf")
 
 
-class Oscillator(BaseModel):
+class Oscillator(Table):
     """One [[device]]: the clock by which a source's device samples; every source's without `source`.
 
     `drift_ppm` above 0: it is slow, its samples come later and later. `jitter_s`: standard deviation of when
     within its turn a sample is taken (at most 0.45 of a sample).
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     source: str | None = None
     drift_ppm: float = Field(default=0.0, gt=-1e5, lt=1e5)

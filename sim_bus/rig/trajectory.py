@@ -7,7 +7,7 @@ when a device was read.
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,8 @@ from sim_bus.arrays import FloatArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.covariates.course import Covariates
 from sim_bus.rig.excitation import ForceStream
-from sim_bus.rig.plant import Hold, Moving, PlantError, System, propagate, step
-from sim_bus.rig.rigfile import Channel, RigFile
+from sim_bus.rig.plant import Hold, Moving, PlantError, propagate, step
+from sim_bus.rig.rigfile import Channel, RigFile, System
 from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.schedule import Timeline
 from sim_bus.rig.sensors import SensorChain, noise_for
@@ -128,7 +128,10 @@ class Rig:
         self._places = tuple((channel, rig.place(channel)) for channel in rig.channel)
         self._rate, self.hold = rig.rig.sample_rate_hz, rig.hold
         self.covariates = Covariates(rig.covariate, scenario.covariate, scenario.folder)
-        paths = _paths(scenario, self._rate, rig.nominal, self.covariates)
+        paths = [
+            WearPath(wear, self._rate, (scenario.seed, 6, number), rig.nominal, self.covariates)
+            for number, wear in enumerate(scenario.wear)
+        ]
         self.timeline = Timeline(rig.nominal, scenario.changes, self._rate, paths)
         forces = scenario.forces_on(rig)
         self._forces = ForceStream(forces, self.graph.nodes, self._rate, scenario.seed, scenario.folder)
@@ -214,15 +217,6 @@ class Rig:
             self._past[column] = line[len(sensed) :]
             columns.append(chain.read(index, line[: len(sensed)]))
         return np.column_stack(columns)
-
-
-def _paths(
-    scenario: Scenario, rate: float, nominal: Mapping[str, float], covariates: Covariates
-) -> list[WearPath]:
-    return [
-        WearPath(wear, rate, (scenario.seed, 6, number), nominal, covariates)
-        for number, wear in enumerate(scenario.wear)
-    ]
 
 
 class Trajectory:

@@ -42,7 +42,11 @@ class TruthRecorder:
             "index": index,
             "t_s": index / self._rate,
             **columns,
-            **self._names(),
+            "node_names": np.array(self._rig.graph.nodes),
+            "state_names": np.array(self._rig.graph.state_names),
+            "parameter_names": np.array(self._rig.timeline.names),
+            "channel_names": np.array([channel.name for channel in self._rig.channels]),
+            "covariate_names": np.array([one.name for one in self._rig.covariates.channels]),
             "ledger": json.dumps(ledger),
         }
 
@@ -52,12 +56,3 @@ class TruthRecorder:
         with partial.open("wb") as file:
             np.savez(file, **self.arrays(played, ledger))
         partial.replace(path)
-
-    def _names(self) -> dict[str, Any]:
-        return {
-            "node_names": np.array(self._rig.graph.nodes),
-            "state_names": np.array(self._rig.graph.state_names),
-            "parameter_names": np.array(self._rig.timeline.names),
-            "channel_names": np.array([channel.name for channel in self._rig.channels]),
-            "covariate_names": np.array([one.name for one in self._rig.covariates.channels]),
-        }

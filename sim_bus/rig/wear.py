@@ -9,13 +9,14 @@ from types import MappingProxyType
 from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from sim_bus.rig.covariates.course import Covariates, Lagged
 from sim_bus.rig.schedule import first_sample
+from sim_bus.tables import Table
 
 
-class Wear(BaseModel):
+class Wear(Table):
     """One [[wear]]: how the named parameters move from `from_s` to `until_s`; then they stay where they are.
 
     walk: a random walk; `rate` is its standard deviation after a second, in the parameter's unit.
@@ -27,11 +28,9 @@ class Wear(BaseModel):
     `percent` is the same as `rate` in per cent of the nominal value.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     kind: Literal["walk", "temperature", "covariate"]
-    rate: dict[str, float] = {}
-    percent: dict[str, float] = {}
+    rate: dict[str, float] = Field(default_factory=dict)
+    percent: dict[str, float] = Field(default_factory=dict)
     channel: str | None = None
     lag_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     center: float | None = Field(default=None, allow_inf_nan=False)

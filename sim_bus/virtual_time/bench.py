@@ -132,7 +132,8 @@ class PlayedBench:
     def finish(self) -> Mapping[str, Any]:
         """Return what a truth file holds of the whole scenario, the ledger as text in it."""
         self._trajectory.chunk((self.total - 1) // CHUNK)
-        ledger = ledger_of(self._file, self.scenario, self._rig, self._lines.values(), self.total)
+        shown = [line.ledger() for line in self._lines.values()]
+        ledger = ledger_of(self._file, self.scenario, self._rig, shown, self.total)
         arrays = self._truth.arrays(self.total, ledger)
         for number, trajectory in self._own.items():
             trajectory.chunk((self.total - 1) // CHUNK)

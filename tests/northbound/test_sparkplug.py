@@ -19,8 +19,17 @@ from paho.mqtt.client import Client, MQTTv5
 from paho.mqtt.enums import CallbackAPIVersion
 
 from agent.config.sections.north import North
-from agent.northbound.sparkplug.payload import BOOLEAN, DOUBLE, INT64, STRING, Metric, commands, encode
-from agent.northbound.sparkplug.wire import fields, varint
+from agent.northbound.sparkplug.payload import (
+    BOOLEAN,
+    DOUBLE,
+    INT64,
+    STRING,
+    Metric,
+    commands,
+    encode,
+    fields,
+    varint,
+)
 from agent.storage.write.store import Store
 from tests.northbound.line import line_to, mosquitto
 from tests.northbound.supply import numbers, supplied

@@ -14,7 +14,8 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from agent.cli.glance.files import several
-from agent.cli.opcua.serve import Options, check, running
+from agent.cli.opcua.access import Options, check
+from agent.cli.opcua.server import running
 from agent.cli.web.secret import Secret
 from tests.web import files
 

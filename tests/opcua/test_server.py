@@ -17,8 +17,8 @@ from asyncua import Client, ua
 from agent.cli.app import app
 from agent.cli.glance.files import several
 from agent.cli.opcua import quality
-from agent.cli.opcua.access import UserDirectory, read_users
-from agent.cli.opcua.serve import Options, running
+from agent.cli.opcua.access import Options, UserDirectory, read_users
+from agent.cli.opcua.server import running
 from agent.cli.web.secret import Secret
 from agent.errors import UsageError
 from agent.storage.operations import command_alarms

@@ -197,8 +197,8 @@ def test_source_of_covariates_only_makes_no_row_wait_and_its_readings_balance(tm
 
 
 def test_minutes_of_covariates_become_hours_when_they_are_old(tmp_path: Path) -> None:
-    from agent.storage.covariates.rows import thin
     from agent.storage.read.covariates import means
+    from agent.storage.tables.covariates import thin
 
     with Store.open(tmp_path / "rig.db") as store:
         run = store.begin_run(run_info())

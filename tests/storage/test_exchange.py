@@ -7,7 +7,7 @@ import pytest
 from agent.errors import StoreError
 from agent.storage.operations import command_alarms
 from agent.storage.write.alarm_commands import Request
-from agent.storage.write.retention import Retention
+from agent.storage.write.retention import Density, Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
 from tests.storage.rows import HOP, START, batch, run_info, select, step
@@ -29,7 +29,9 @@ def test_exchange_ends_one_run_whole_and_leaves_the_other(tmp_path: Path) -> Non
         writer.publish(
             [batch(50, rig=rig)]
         )  # two periods and a half; the last is kept only at the end of a run
-    writer.exchange(["a"], [run_info("a", started_ns=START + 50 * HOP), run_info("c")], 1.0, KEEP, 1.0)
+    writer.exchange(
+        ["a"], [run_info("a", started_ns=START + 50 * HOP), run_info("c")], Density(1.0, KEEP, 1.0)
+    )
     assert writer.run_ids["b"] == before["b"]
     assert writer.run_ids["a"] not in before.values()
     assert (rows(path, before["a"]), rows(path, before["b"])) == (3, 2)
@@ -46,7 +48,7 @@ def test_exchange_with_a_denser_store_keeps_all_from_then_on(tmp_path: Path) -> 
     path = tmp_path / "dense.db"
     writer = StoreWriter(lambda: Store.open(path), [run_info("a"), run_info("b")], every_s=1.0, period_s=60.0)
     writer.start()
-    writer.exchange(["a"], [run_info("a")], 0.0, KEEP, 1.0)
+    writer.exchange(["a"], [run_info("a")], Density(0.0, KEEP, 1.0))
     writer.publish([batch(50, rig="b")])
     writer.stop()
     assert rows(path, writer.run_ids["b"]) == 50
@@ -57,7 +59,7 @@ def test_exchange_that_ends_with_the_agent_is_refused(tmp_path: Path) -> None:
     writer.start()
     writer.stop()
     with pytest.raises(StoreError, match="ending"):
-        writer.exchange(["a"], [], 0.0, KEEP, 1.0)
+        writer.exchange(["a"], [], Density(0.0, KEEP, 1.0))
 
 
 def test_alarm_that_stood_over_an_exchange_is_acknowledged_as_it_is_now(tmp_path: Path) -> None:
@@ -65,7 +67,7 @@ def test_alarm_that_stood_over_an_exchange_is_acknowledged_as_it_is_now(tmp_path
     writer = StoreWriter(lambda: Store.open(path), [run_info()], served={})
     writer.start()
     writer.publish([step("NORM", "UNACK")])
-    writer.exchange(["press-7"], [run_info()], 0.0, KEEP, 1.0)
+    writer.exchange(["press-7"], [run_info()], Density(0.0, KEEP, 1.0))
     assert [row.state for row in writer.standing["press-7"]] == ["UNACK"]
     writer.publish([step("UNACK", "RTNUN", START + HOP, cause="clear")])
     assert writer.flush()

@@ -11,7 +11,7 @@ import pytest
 from agent.records import ForecastRecord, ForecastScore, TrendRecord
 from agent.storage import maintenance
 from agent.storage.read import queries
-from agent.storage.write.log_bounds import purge_logs
+from agent.storage.write.retention import purge_logs
 from agent.storage.write.store import Store
 from tests.storage.rows import START, batch, run_info, select
 

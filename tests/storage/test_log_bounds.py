@@ -7,7 +7,7 @@ import pytest
 from agent.records import EventRecord, HealthEvent
 from agent.storage.database.verify import problems
 from agent.storage.read import queries
-from agent.storage.write.log_bounds import KEPT, purge_logs
+from agent.storage.write.retention import KEPT, purge_logs
 from agent.storage.write.store import Store
 from tests.storage.rows import START, batch, run_info, step
 
@@ -48,7 +48,7 @@ def test_oldest_rows_beyond_a_number_go_but_what_stands(tmp_path: Path, order: i
 def test_purge_by_the_hour_bounds_what_happened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "rig.db"
     filled(path, 1)
-    monkeypatch.setattr("agent.storage.write.log_bounds.purge_logs.__defaults__", (3,))
+    monkeypatch.setattr("agent.storage.write.retention.purge_logs.__defaults__", (3,))
     with Store.open(path) as store:
         store.write(store.begin_run(run_info()), [batch(3)])
         store.maintain()

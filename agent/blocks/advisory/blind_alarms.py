@@ -162,10 +162,9 @@ class BlindAlarms:
     def _transition(
         self, group: _Group, t_ns: int, words: str, *, stands: bool, advice: str | None = None
     ) -> AlarmTransition:
-        return AlarmTransition(
-            rig=self._rig, kind=group.kind, parameter=group.parameter, priority=group.priority, t_ns=t_ns,
-            from_state="NORM" if stands else "UNACK", to_state="UNACK" if stands else "RTNUN",
-            cause="raise" if stands else "clear", message=words, advice=advice,
+        return AlarmTransition.plain(
+            self._rig, group.kind, group.parameter, t_ns, words, stands=stands, priority=group.priority,
+            advice=advice,
         )  # fmt: skip
 
 

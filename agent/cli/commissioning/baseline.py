@@ -35,7 +35,7 @@ def standing(path: Path, rig: str | None) -> dict[str, Any]:
     """Return the baselines that rigs count from. Raises UsageError where there is none."""
     rows = [row for row in _rows(path, rig) if row["newest"]]
     if not rows:
-        raise UsageError.at(str(path), "has no baseline", "learn one: deltak baseline learn")
+        raise UsageError.at(path, "has no baseline", "learn one: deltak baseline learn")
     return {"baselines": rows}
 
 

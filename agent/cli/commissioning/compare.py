@@ -34,10 +34,9 @@ def print_compared(document: Document) -> None:
     for name, why in document["skipped"].items():
         show(f"{name} does not apply: {why}")
     show(
-        f"prediction: what {counted(document['windows'], 'window')} of "
-        f"{number(document['window_s'], 3)} s leave "
-        "that each method had not seen, in standard deviations of the sensors' noise "
-        "(1 is the noise itself) and of the motion"
+        f"prediction: what {counted(document['windows'], 'window')} of {number(document['window_s'], 3)} s "
+        "leave that each method had not seen, in standard deviations of the sensors' noise (1 is the noise "
+        "itself) and of the motion"
     )
 
 

@@ -72,12 +72,12 @@ def _pid(db: Path) -> int:
 def asked(db: Path, command: str, **arguments: Any) -> Mapping[str, Any]:
     """Ask the agent that owns a database. Raises StoreError where none runs."""
     if not beside(db, ".sock").exists():
-        raise StoreError.at(str(db), "no agent runs on it", _START)
+        raise StoreError.at(db, "no agent runs on it", _START)
     try:
         return ask(db, command, **arguments)
     except StoreError as error:
         if isinstance(error.__cause__, ConnectionRefusedError):
             raise StoreError.at(
-                str(db), "no agent runs on it; the last one was killed", "start it again"
+                db, "no agent runs on it; the last one was killed", "start it again"
             ) from error
         raise

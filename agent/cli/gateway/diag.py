@@ -8,21 +8,61 @@ import platform
 import sqlite3
 import tarfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
 from agent import __version__
 from agent.cli.gateway.agent_of import asked, database_of
-from agent.cli.gateway.newest_samples import newest_samples
 from agent.cli.gateway.redaction import Redaction
 from agent.cli.terminal.output import json_ready, show
 from agent.config import files_of
-from agent.errors import AgentError, StoreError, UsageError
+from agent.errors import AgentError, RecordingError, StoreError, UsageError
+from agent.recording import blocks
+from agent.recording.setup import FOLDER
 from agent.storage.database.connect import connect_reader
 from agent.storage.database.files import opened
 from agent.text import counted
+
+SPAN_S = 60.0
+MOST_BYTES = 20_000_000
+"""Of one file of text at most, from its end."""
+
+
+def newest_samples(db: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of the newest minute of every source that is recorded; nothing where none is."""
+    folder = db.with_name(db.name + FOLDER)
+    newest: dict[str, Path] = {}
+    for file in sorted(folder.glob("*")) if folder.is_dir() else ():
+        if file.suffix in {blocks.SUFFIX, ".log"}:
+            newest[file.name.rpartition("-")[0]] = file
+    for file in newest.values():
+        with suppress(OSError, RecordingError, ValueError):
+            yield file.name, _blocks(file) if file.suffix == blocks.SUFFIX else _lines(file)
+
+
+def _blocks(file: Path) -> bytes:
+    kept = list(blocks.read_blocks(file))
+    newest = kept[-1].arrival_ns if kept else 0
+    with file.open("rb") as stream:
+        header = blocks.read_header(stream, file)
+    fresh = [block for block in kept if newest - block.arrival_ns <= SPAN_S * 1e9]
+    return blocks.encode_header(header) + b"".join(map(blocks.encode_block, fresh))
+
+
+def _lines(file: Path) -> bytes:
+    """Return the last minute of a candump log: lines that begin with (seconds)."""
+    with file.open("rb") as stream:
+        stream.seek(max(0, file.stat().st_size - MOST_BYTES))
+        lines = [line for line in stream.read().splitlines(keepends=True) if line.startswith(b"(")]
+    until = _seconds(lines[-1]) if lines else 0.0
+    return b"".join(line for line in lines if until - _seconds(line) <= SPAN_S)
+
+
+def _seconds(line: bytes) -> float:
+    return float(line[1 : line.index(b")")])
+
 
 Document = Mapping[str, Any]
 _QUERIES = {
@@ -44,7 +84,7 @@ def diag(named: Path | None, to: Path) -> Document:
     """
     db = database_of(named)
     if named == db and not os.path.lexists(db):
-        raise StoreError.at(str(db), "there is no such database", "give the path that the agent writes to")
+        raise StoreError.at(db, "there is no such database", "give the path that the agent writes to")
     status, why = _answer(db, "status")
     configs = _configs(named, status)
     redaction = Redaction(configs)

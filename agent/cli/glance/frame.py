@@ -2,15 +2,15 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
 
 from agent.text import number, printable, short_time, with_sd
-
-if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions, RenderableType
-    from rich.measure import Measurement
-    from rich.table import Table
-    from rich.text import Text
 
 Row = Mapping[str, Any]
 _WIDTH = 25  # of a bar
@@ -21,10 +21,8 @@ _STYLES = {"valid": "green", "warming": "cyan", "unexcited": "yellow", "invalid"
 _STATE_STYLES = {"UNACK": "bold white on red", "ACKED": "red", "RTNUN": "yellow"}
 
 
-def frame(overview: Mapping[str, Any], clock: str) -> "RenderableType":
+def frame(overview: Mapping[str, Any], clock: str) -> RenderableType:
     """Return the picture of `state.overview`; clock: the time to show at its top."""
-    from rich.console import Group
-
     parts: list[RenderableType] = [_line(f"deltak  {clock}", "bold")]
     for rig in overview["rigs"]:
         parts += _rig(rig)
@@ -35,13 +33,11 @@ def frame(overview: Mapping[str, Any], clock: str) -> "RenderableType":
     return Group(*parts)
 
 
-def _line(text: str, style: str = "") -> "Text":
-    from rich.text import Text
-
+def _line(text: str, style: str = "") -> Text:
     return Text(printable(text), style=style)
 
 
-def _rig(rig: Mapping[str, Any]) -> "Iterable[RenderableType]":
+def _rig(rig: Mapping[str, Any]) -> Iterable[RenderableType]:
     lag = "no rows yet" if rig["lag_s"] is None else f"newest row {_age(rig['lag_s'])} ago"
     yield _line(f"\n{rig['rig']}: {rig['words']}, {lag}", "bold")
     yield _table(
@@ -57,11 +53,8 @@ def _rig(rig: Mapping[str, Any]) -> "Iterable[RenderableType]":
         )
 
 
-def _table(columns: Iterable[str], rows: "Iterable[Sequence[RenderableType]]") -> "Table":
+def _table(columns: Iterable[str], rows: Iterable[Sequence[RenderableType]]) -> Table:
     """Return a table that gives its width to figures: bars get narrow first, then words are wrapped."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     cells = [[_line(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for place, column in enumerate(columns):
@@ -73,7 +66,7 @@ def _table(columns: Iterable[str], rows: "Iterable[Sequence[RenderableType]]") -
     return table
 
 
-def _parameter(row: Row) -> "tuple[RenderableType, ...]":
+def _parameter(row: Row) -> tuple[RenderableType, ...]:
     status = row["status"] + (f": {row['reason']}" if row["reason"] else "")
     used = "" if row["used"] is None else f"{100.0 * row['used']:.0f} %"
     alarm = _line(row["alarm"] or "", _STATE_STYLES.get(row["alarm"], ""))
@@ -89,12 +82,10 @@ class _Bar:
     row: Row
     style: str
 
-    def __rich_measure__(self, _console: "Console", options: "ConsoleOptions") -> "Measurement":
-        from rich.measure import Measurement
-
+    def __rich_measure__(self, _console: Console, options: ConsoleOptions) -> Measurement:
         return Measurement(_NARROWEST, min(options.max_width, _WIDTH))
 
-    def __rich_console__(self, _console: "Console", options: "ConsoleOptions") -> "Iterator[RenderableType]":
+    def __rich_console__(self, _console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         yield _line(bar(self.row, min(options.max_width, _WIDTH)), self.style)
 
 
@@ -122,12 +113,12 @@ def _cell(share: float, width: int) -> int:
     return round((min(max(share, -1.0), 1.0) + 1.0) / 2.0 * (width - 1))
 
 
-def _alarm(row: Row) -> "tuple[RenderableType, ...]":
+def _alarm(row: Row) -> tuple[RenderableType, ...]:
     state = _line(row["state"], _STATE_STYLES.get(row["state"], ""))
     return str(row["id"]), row["priority"], state, short_time(row["raised_at"]), row["message"]
 
 
-def _source(row: Row) -> "tuple[RenderableType, ...]":
+def _source(row: Row) -> tuple[RenderableType, ...]:
     silent = _line("silent", "red") if row["stale"] else ""
     counts = (str(row[key]) for key in ("rejected", "dropped", "gaps"))
     lag = "-" if row["lag_s"] is None else f"{row['lag_s']:.3g} s"

@@ -1,15 +1,16 @@
 """Who may do what: users in a file with their password hashes, and who makes the request that is answered."""
 
-import getpass
+import ipaddress
 import os
 import re
 import sys
 from collections.abc import Mapping
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from agent.cli.web.secret import Secret, check_closed, closed_content, write_closed
+from agent.cli.web.secret import Secret, asked_password, check_closed, closed_content, write_closed
 from agent.cli.web.sessions import Attempts
 from agent.clock import wall_ns
 from agent.errors import UsageError
@@ -20,6 +21,33 @@ caller: ContextVar[str | None] = ContextVar("caller", default=None)
 """The user that signed in to the session whose request is being answered; None for whoever did not."""
 
 Users = Mapping[str, Secret]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the command line says, but for the databases."""
+
+    host: str = "127.0.0.1"
+    port: int = 4840
+    hostname: str | None = None
+    users: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+    trusted: Path | None = None
+    private: bool = False
+
+    def address(self, port: int) -> str:
+        """Return the URL under which clients reach it."""
+        host = self.hostname or (f"[{self.host}]" if ":" in self.host else self.host)
+        return f"opc.tcp://{host}:{port}/deltak/"
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nobody but this machine can reach it."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
 
 
 def read_users(path: Path) -> Users:
@@ -33,7 +61,7 @@ def read_users(path: Path) -> Users:
             raise UsageError.at(f"{path}:{number}", "is no user with the hash of a password", advice)
         found[name] = secret
     if not found:
-        raise UsageError.at(str(path), "holds no user", f"deltak opcua --users {path} --new-user NAME")
+        raise UsageError.at(path, "holds no user", f"deltak opcua --users {path} --new-user NAME")
     return found
 
 
@@ -66,12 +94,7 @@ def add_user(path: Path | None, name: str) -> None:
         raise UsageError.at("--new-user", "needs --users", "name the file that it is added to")
     if _NAME.fullmatch(name) is None:
         raise UsageError.at("--new-user", f"{name!r} is no name", "take letters, digits, . _ @ -, at most 64")
-    if sys.stdin.isatty():
-        password, again = getpass.getpass("password: "), getpass.getpass("once more: ")
-        if password != again:
-            raise UsageError.at("password", "was not the same twice", "try again")
-    else:
-        password = sys.stdin.readline().rstrip("\n")
+    password = asked_password()
     users = dict(read_users(path)) if path.exists() else {}
     users[name] = Secret.of_password(password)
     write_closed(path, "".join(f"{user}:{secret.line()}\n" for user, secret in users.items()))
@@ -149,7 +172,22 @@ def check_key(path: Path) -> None:
     try:
         mode = os.stat(path).st_mode  # noqa: PTH116 - a link is followed, as the key is read
     except OSError as error:
-        raise UsageError.at(
-            str(path), f"cannot be read ({error})", "name the file of a private key"
-        ) from error
+        raise UsageError.at(path, f"cannot be read ({error})", "name the file of a private key") from error
     check_closed(path, mode)
+
+
+def check(options: Options, users: Users) -> None:
+    """Raise UsageError for options that do not go together or would leave the server open to others."""
+    if (options.certificate is None) != (options.key is None):
+        raise UsageError.at("--certificate", "needs --key, and --key needs it", "give both")
+    if options.key is not None:
+        check_key(options.key)
+    if options.trusted is not None and options.certificate is None:
+        raise UsageError.at(
+            "--trusted", "needs --certificate", "clients show theirs where the server has one"
+        )
+    if options.private and not users:
+        raise UsageError.at("--private", "needs users", "give --users FILE")
+    if not options.is_local and not (users and options.certificate is not None):
+        what = f"others can reach {options.host}, and there are no users or no certificate"
+        raise UsageError.at("--host", what, "give --users, --certificate and --key")

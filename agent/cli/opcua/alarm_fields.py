@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from asyncua import ua
+
 from agent.cli.opcua.space import instant
 
 Row = Mapping[str, Any]
@@ -49,8 +51,6 @@ def fields_of(alarm: Row, step: Row, places: Mapping[str, Any]) -> dict[str, Any
         step: `event_id`, `t_ns`, `by` and `comment` of its newest step.
         places: `condition`, `source` and `input`, ids of nodes; `name` of the source.
     """
-    from asyncua import ua
-
     kinds = ua.VariantType
     state = states_of(alarm)
     of_class = "Process" if alarm["kind"] in _PROCESS else "System"
@@ -82,8 +82,6 @@ def fields_of(alarm: Row, step: Row, places: Mapping[str, Any]) -> dict[str, Any
 
 
 def _text(words: str) -> Any:
-    from asyncua import ua
-
     return ua.Variant(ua.LocalizedText(words), ua.VariantType.LocalizedText)
 
 

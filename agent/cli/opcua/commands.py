@@ -6,6 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from asyncua import ua
+
 from agent.cli.opcua.access import caller
 from agent.cli.opcua.conditions import Condition, Conditions, Method
 from agent.errors import AgentError
@@ -62,8 +64,6 @@ class Commands:
 
     def link(self, server: Any) -> None:
         """Answer calls of the types' methods too: an object's id and the well-known id of a method."""
-        from asyncua import ua
-
         for name, method in self.methods().items():
             for place in _TYPES[name]:
                 node_id = ua.NodeId(getattr(ua.ObjectIds, place))
@@ -145,6 +145,4 @@ async def _not_supported(_place: Any, *_said: Any) -> Any:
 
 
 def _status(name: str) -> Any:
-    from asyncua import ua
-
     return ua.StatusCode(getattr(ua.StatusCodes, name))

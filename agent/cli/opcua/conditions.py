@@ -5,6 +5,9 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from asyncua import ua
+from asyncua.common.events import get_event_obj_from_type_node
+
 from agent.cli.opcua.alarm_fields import event_id, fields_of
 from agent.cli.opcua.space import Space
 
@@ -49,7 +52,7 @@ class Conditions:
 
     async def step(self, db: str, alarm: Row, step: Row) -> None:
         """Take in an alarm's step (`id`, `t_ns`, `by`, `comment`): write its node, tell whoever listens."""
-        name = _name(db, alarm["id"])
+        name = f"{db}/alarm {alarm['id']}"
         found = self._by_name.get(name)
         if found is None:
             found = self._by_name[name] = await self._made(name, db, alarm)
@@ -63,8 +66,6 @@ class Conditions:
 
     def _places(self, found: Condition) -> dict[str, Any]:
         """Return where a condition belongs: to the parameter that it is of, else to the rig."""
-        from asyncua import ua
-
         alarm = found.alarm
         parameter = self.space.parameter(found.db, alarm["rig"], alarm["parameter"])
         return {
@@ -73,9 +74,6 @@ class Conditions:
         }  # fmt: skip
 
     async def _made(self, name: str, db: str, alarm: Row) -> Condition:
-        from asyncua import ua
-        from asyncua.common.events import get_event_obj_from_type_node
-
         server = self.space.server
         rig = await self.space.rig(db, alarm["rig"])
         of_type = ua.NodeId(ua.ObjectIds.AlarmConditionType)
@@ -95,8 +93,6 @@ class Conditions:
 
     async def _add_optional(self, node: Any, name: str) -> None:
         """Add what the type leaves open: further states, shelving, confirming, out of service."""
-        from asyncua import ua
-
         for state in _STATES:
             words = await node.add_variable(
                 self.space.node_id(f"{name}.{state}"),
@@ -125,8 +121,6 @@ class Conditions:
 
     async def _write(self, name: str, fields: Mapping[str, Any]) -> None:
         """Write the variables of a condition's node, of those fields that it has."""
-        from asyncua import ua
-
         server = self.space.server
         for place, value in fields.items():
             node_id = self.space.node_id(f"{name}.{place.replace('/', '.')}")
@@ -135,8 +129,6 @@ class Conditions:
 
     async def _say(self, found: Condition, fields: Mapping[str, Any]) -> None:
         """Send the event to listeners at the rig and at the server; that one is what a refresh repeats."""
-        from asyncua import ua
-
         for name, value in fields.items():
             found.event.add_property(name, value.Value, value.VariantType)
         for emitting in (found.rig.nodeid, ua.NodeId(ua.ObjectIds.Server)):
@@ -150,11 +142,5 @@ class Conditions:
             await self.space.server.delete_nodes([self._by_name.pop(name).node], recursive=True)
 
 
-def _name(db: str, alarm: int) -> str:
-    return f"{db}/alarm {alarm}"
-
-
 def _argument(name: str, of_type: int) -> Any:
-    from asyncua import ua
-
     return ua.Argument(Name=name, DataType=ua.NodeId(of_type), ValueRank=-1)

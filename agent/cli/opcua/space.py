@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final, NamedTuple
 
+from asyncua import ua
+
 from agent.cli.opcua.quality import own_code, quality_of
 
 Row = Mapping[str, Any]
@@ -41,8 +43,6 @@ class Space:
 
     def node_id(self, *parts: str) -> Any:
         """Return the id of what is called so: its parts, joined by slashes."""
-        from asyncua import ua
-
         return ua.NodeId("/".join(parts), self.index)
 
     async def rig(self, db: str, name: str) -> Any:
@@ -52,8 +52,6 @@ class Space:
         return self._rigs[db, name]
 
     async def _made_rig(self, db: str, name: str) -> Any:
-        from asyncua import ua
-
         if self._root is None:
             objects = self.server.nodes.objects
             self._root = await objects.add_folder(self.node_id("deltak"), f"{self.index}:deltak")
@@ -76,8 +74,6 @@ class Space:
             await self._write(key, row, now_ns)
 
     async def _make(self, key: Key, row: Row) -> None:
-        from asyncua import ua
-
         parent = await self.rig(key.db, key.rig)
         node = await self._variable(parent, key, key.parameter, ua.VariantType.Double)
         await node.delete_reference(ua.ObjectIds.BaseDataVariableType, ua.ObjectIds.HasTypeDefinition)
@@ -91,8 +87,6 @@ class Space:
         self._parameters.add(key)
 
     async def _variable(self, parent: Any, place: Iterable[str], name: str, kind: Any) -> Any:
-        from asyncua import ua
-
         empty = ua.Variant(None, ua.VariantType.Null)
         data_type = ua.NodeId(kind.value)
         return await parent.add_variable(
@@ -100,8 +94,6 @@ class Space:
         )
 
     async def _write(self, key: Key, row: Row, now_ns: int) -> None:
-        from asyncua import ua
-
         found = quality_of(row, now_ns)
         await self._put(self.node_id(*key), found.value, ua.VariantType.Double, found.t_ns, found.code)
         code = own_code(row, now_ns)
@@ -113,8 +105,6 @@ class Space:
             )
 
     async def _put(self, node_id: Any, value: Any, kind: Any, t_ns: int, code: str) -> None:
-        from asyncua import ua
-
         said = (value, t_ns, code)
         if self._written.get(node_id) == said:
             return

@@ -27,7 +27,7 @@ def check(db: Path, *, as_json: bool) -> None:
         show("sound" if not report.problems else "damaged")
     if report.problems:
         advice = f"deltak db repair {db} keeps every row that proves itself"
-        raise StoreError.at(str(db), "; ".join(report.problems), advice)
+        raise StoreError.at(db, "; ".join(report.problems), advice)
 
 
 def repair(db: Path, *, as_json: bool) -> None:

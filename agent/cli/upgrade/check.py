@@ -4,18 +4,44 @@ import os
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from agent import __version__
 from agent.cli.terminal.output import fault_document, print_table, show
 from agent.cli.upgrade.copies import copies_of
-from agent.cli.upgrade.places import Places, places_of
 from agent.config import files_of, load_many
 from agent.errors import AgentError, ConfigError, Fault, StoreError
 from agent.storage.database.connect import WAL_BOUND, connect_reader
 from agent.storage.database.files import Kind, beside, check_place, kind_of, refuse
 from agent.storage.database.schema import SCHEMA_VERSION, steps_from
+
+CONFIGURATIONS = Path("/etc/deltak")
+DATABASES = Path("/var/lib/deltak")
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Configurations by agent (each a file, or a folder of files that one agent runs on), and databases."""
+
+    configs: tuple[Path, ...]
+    databases: tuple[Path, ...]
+
+
+def places_of(named: Sequence[Path]) -> Places:
+    """Return what paths name (*.toml and folders are configurations); without any what the services have."""
+    if not named:
+        return _of_services()
+    configs = tuple(path for path in named if path.suffix == ".toml" or path.is_dir())
+    return Places(configs, tuple(path for path in named if path not in configs))
+
+
+def _of_services() -> Places:
+    folder = CONFIGURATIONS / "conf.d"
+    shared = (folder,) if any(folder.glob("*.toml")) else ()
+    return Places((*shared, *sorted(CONFIGURATIONS.glob("*.toml"))), tuple(sorted(DATABASES.glob("*.db"))))
+
 
 Document = Mapping[str, Any]
 READS_ALL = "the former version reads it as it is"

@@ -6,10 +6,11 @@ check by the new version -> stop -> copies of what it will migrate -> link -> st
 """
 
 import json
+import sqlite3
 import subprocess
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,50 @@ from agent.cli.terminal.output import show
 from agent.cli.upgrade import copies
 from agent.cli.upgrade.agents import Agents, AgentsError
 from agent.cli.upgrade.releases import Releases
-from agent.cli.upgrade.valid_rows import Rigs, giving, silent
+from agent.clock import wall_ns
 from agent.errors import AgentError, Fault, UsageError
+
+Rigs = Mapping[tuple[Path, str], int]
+"""By database and rig: the newest run."""
+_NEWEST = "SELECT rig, run_id, t_ns, status, held_age_s FROM v_latest"
+
+
+def giving(databases: Iterable[Path], within_s: float) -> Rigs:
+    """Return the rigs that have given a valid row within so many seconds."""
+    since_ns = wall_ns() - int(within_s * 1e9)
+    found: dict[tuple[Path, str], int] = {}
+    for path in databases:
+        for rig, run_id, t_ns, status, held_age_s in _newest(path):
+            valid_ns = t_ns if status == "valid" else t_ns - int((held_age_s or within_s) * 1e9)
+            if valid_ns > since_ns:
+                found[path, rig] = max(run_id, found.get((path, rig), 0))
+    return found
+
+
+def silent(expected: Rigs, shown: set[tuple[Path, str]]) -> list[str]:
+    """Return the rigs that have given no valid row in a run newer than the expected one.
+
+    shown: grows by those that did; a row that is valid once counts, since a machine may come to rest right
+    after.
+    """
+    for path in {path for path, _ in expected}:
+        rows = {(path, rig) for rig, run_id, _, status, _ in _newest(path)
+                if status == "valid" and run_id > expected.get((path, rig), run_id)}  # fmt: skip
+        shown |= rows
+    return sorted(rig for path, rig in expected if (path, rig) not in shown)
+
+
+def _newest(path: Path) -> list[tuple[str, int, int, str, float | None]]:
+    """Return the newest row of every parameter; none while the file is being made, migrated or damaged."""
+    try:
+        with closing(
+            sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=1.0)
+        ) as connection:
+            connection.execute("PRAGMA trusted_schema = OFF")
+            return connection.execute(_NEWEST).fetchall()
+    except sqlite3.Error:
+        return []
+
 
 Document = Mapping[str, Any]
 POLL_S = 0.5
@@ -79,7 +122,7 @@ def checked(program: Path, named: Sequence[Path]) -> Document:
         found = dict(json.loads(done.stdout))
     except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         advice = "it is older than this command, or not whole; nothing was changed"
-        raise UsageError.at(str(program), f"does not say what it would do ({error})", advice) from error
+        raise UsageError.at(program, f"does not say what it would do ({error})", advice) from error
     if found.get("errors"):
         raise UsageError(Fault(**fault) for fault in found["errors"])
     return found

@@ -5,9 +5,11 @@ import hashlib
 import json
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from anyio.to_thread import run_sync
+from starlette.requests import Request
+from starlette.responses import Response
 
 from agent.cli.glance.files import Watched
 from agent.cli.web.documents import DOCUMENTS, made
@@ -16,10 +18,6 @@ from agent.cli.web.stream import is_settled, stamp
 from agent.clock import monotonic_ns
 from agent.errors import AgentError
 
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
-
 _KEPT = 64  # answers
 _LONGEST_VALUE = 200  # characters of a value that is asked
 _AT_ONCE = 2  # questions to the databases; others wait
@@ -27,10 +25,8 @@ _AT_ONCE = 2  # questions to the databases; others wait
 Key = tuple[str, tuple[tuple[str, str], ...]]
 
 
-def tagged(request: "Request", body: bytes, media_type: str) -> "Response":
+def tagged(request: Request, body: bytes, media_type: str) -> Response:
     """Return a body with its ETag; 304 and nothing where the asker has it already."""
-    from starlette.responses import Response
-
     tag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
     headers = {"etag": tag, "cache-control": "no-cache"}
     known = {part.strip().removeprefix("W/") for part in request.headers.get("if-none-match", "").split(",")}
@@ -47,7 +43,7 @@ class Answers:
     _kept: OrderedDict[Key, tuple[Any, bytes]] = field(default_factory=OrderedDict)
     _gate: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
 
-    async def answer(self, request: "Request") -> "Response":
+    async def answer(self, request: Request) -> Response:
         """Answer GET /api/v1/NAME?..."""
         name = request.path_params["name"]
         if name not in DOCUMENTS:

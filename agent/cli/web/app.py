@@ -6,7 +6,13 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import ASGIApp
 
 from agent.cli.glance.files import Watched
 from agent.cli.terminal.output import json_ready
@@ -16,13 +22,6 @@ from agent.cli.web.openapi import openapi
 from agent.cli.web.secret import Secret
 from agent.cli.web.stream import Event, Hub, Position
 from agent.cli.web.writes import Writes
-
-if TYPE_CHECKING:
-    from starlette.applications import Starlette
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from starlette.routing import Route
-    from starlette.types import ASGIApp
 
 MOST_LISTENERS: Final = 600
 _TYPES: Final = {
@@ -43,15 +42,13 @@ class Settings:
     hosts: frozenset[str] | None = None
 
 
-def application(settings: Settings) -> "ASGIApp":
+def application(settings: Settings) -> ASGIApp:
     """Return the ASGI application."""
-    from starlette.applications import Starlette
-
     hub = Hub([database.path for database in settings.watched])
     writes = Writes(settings.watched, settings.secret)
 
     @asynccontextmanager
-    async def living(_app: "Starlette") -> AsyncIterator[None]:
+    async def living(_app: Starlette) -> AsyncIterator[None]:
         task = asyncio.create_task(hub.run())
         yield
         task.cancel()
@@ -66,23 +63,21 @@ def application(settings: Settings) -> "ASGIApp":
     return Guard(_private(inner, writes) if settings.private else inner, settings.hosts)
 
 
-def _routes(settings: Settings, hub: Hub, writes: Writes) -> "list[Route]":
-    from starlette.routing import Route
-
+def _routes(settings: Settings, hub: Hub, writes: Writes) -> list[Route]:
     static = _static()
     described = json.dumps(openapi()).encode()
 
-    async def page(request: "Request") -> "Response":
+    async def page(request: Request) -> Response:
         name = request.path_params.get("name", "index.html")
         if name not in static:
             return refusal(404, name, "there is no such file")
         body, kind = static[name]
         return tagged(request, body, kind)
 
-    async def description(request: "Request") -> "Response":
+    async def description(request: Request) -> Response:
         return tagged(request, described, "application/json")
 
-    async def events(request: "Request") -> "Response":
+    async def events(request: Request) -> Response:
         return await _events(request, hub, [database.name for database in settings.watched])
 
     return [
@@ -109,14 +104,13 @@ def _static() -> Mapping[str, tuple[bytes, str]]:
     }
 
 
-async def _absent(_request: "Request", error: Exception) -> "Response":
+async def _absent(_request: Request, error: Exception) -> Response:
     status = int(getattr(error, "status_code", 404))
     return refusal(status, "address", "there is nothing to ask here in that way", "see /api/v1/openapi.json")
 
 
-def _private(inner: "ASGIApp", writes: Writes) -> "ASGIApp":
+def _private(inner: ASGIApp, writes: Writes) -> ASGIApp:
     """Return the application with all that shows rows behind a session."""
-    from starlette.requests import Request
 
     async def asked(scope: Any, receive: Any, send: Any) -> None:
         path = scope.get("path", "")
@@ -129,10 +123,8 @@ def _private(inner: "ASGIApp", writes: Writes) -> "ASGIApp":
     return asked
 
 
-async def _events(request: "Request", hub: Hub, names: list[str]) -> "Response":
+async def _events(request: Request, hub: Hub, names: list[str]) -> Response:
     """Answer with a stream of server-sent events; Last-Event-ID, or `from`, is where it goes on."""
-    from starlette.responses import StreamingResponse
-
     if hub.listeners >= MOST_LISTENERS:
         return refusal(429, "events", f"{MOST_LISTENERS} listen already", "come again later")
     said = request.headers.get("last-event-id") or request.query_params.get("from") or ""

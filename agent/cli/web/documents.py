@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -73,6 +74,11 @@ def _needed(asked: Asked, name: str) -> str:
     if name not in asked:
         raise UsageError.at(name, "is needed", PARAMETERS[name])
     return asked[name]
+
+
+def _of_rig(key: str, ask: Callable[[Path, str | None], Rows]) -> Make:
+    """Return what makes a document of the rows of one rig or all, of all databases meant."""
+    return _rows_of(key, lambda database, asked: ask(database.path, asked.get("rig")))
 
 
 def _rows_of(key: str, ask: Callable[[Watched, Asked], Rows]) -> Make:
@@ -202,24 +208,8 @@ def _model(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
     return {"rig": rig, "db": database.name, **drawing(database.configs[rig])}
 
 
-def _latest(database: Watched, asked: Asked) -> Rows:
-    return queries.latest(database.path, asked.get("rig"))
-
-
-def _alarm_events(database: Watched, asked: Asked) -> Rows:
-    return recent.alarm_events(database.path, asked.get("rig"))
-
-
-def _verdicts(database: Watched, asked: Asked) -> Rows:
-    return queries.verdicts(database.path, asked.get("rig"))
-
-
 def _forecasts(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
     return forecasts(_chosen(watched, asked), asked.get("rig"), asked.get("parameter"))
-
-
-def _baselines(database: Watched, asked: Asked) -> Rows:
-    return baselines(database.path, asked.get("rig"))
 
 
 _RIG: Final = ("db", "rig")
@@ -230,17 +220,21 @@ _POINTS_OF = (
 DOCUMENTS: Final[Mapping[str, Document]] = {
     "rigs": Document("Databases, their rigs and parameters.", ("db",), _rigs),
     "overview": Document("The state of all rigs, the worst first.", ("db",), _overview, by_clock=True),
-    "latest": Document("The newest row of each rig and parameter.", _RIG, _rows_of("rows", _latest)),
+    "latest": Document("The newest row of each rig and parameter.", _RIG, _of_rig("rows", queries.latest)),
     "estimates": Document(
         "Rows of v_estimates; of the last minute without since.", _PARAMETER, _rows_of("rows", _estimates)
     ),
     "alarms": Document("Rows of v_alarms, oldest first.", (*_RIG, "active"), _rows_of("alarms", _alarms)),
-    "alarm_events": Document("Steps of alarms, oldest first.", _RIG, _rows_of("alarm_events", _alarm_events)),
-    "verdicts": Document("What is believed of the rigs' constants.", _RIG, _rows_of("verdicts", _verdicts)),
+    "alarm_events": Document(
+        "Steps of alarms, oldest first.", _RIG, _of_rig("alarm_events", recent.alarm_events)
+    ),
+    "verdicts": Document(
+        "What is believed of the rigs' constants.", _RIG, _of_rig("verdicts", queries.verdicts)
+    ),
     "health": Document(
         "The newest ledger row of each source, with its rate.", _RIG, _rows_of("sources", _health)
     ),
-    "baselines": Document("Rows of v_baselines, oldest first.", _RIG, _rows_of("baselines", _baselines)),
+    "baselines": Document("Rows of v_baselines, oldest first.", _RIG, _of_rig("baselines", baselines)),
     "forecasts": Document(
         "Stored forecasts, oldest first, the newest and at most 99 before it of each parameter; "
         "and their record.",

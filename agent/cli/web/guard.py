@@ -3,14 +3,13 @@
 import asyncio
 import logging
 from collections.abc import Iterable, MutableMapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from agent.cli.terminal.output import fault_document
 from agent.errors import AgentError, StoreError, UsageError
-
-if TYPE_CHECKING:
-    from starlette.responses import Response
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 log = logging.getLogger(__name__)
 _PATIENCE_S = 30.0  # for whoever does not read an answer; a listener that is slow costs its place
@@ -29,19 +28,17 @@ HEADERS: Final = {
 }
 
 
-def document(status: int, content: Any, headers: MutableMapping[str, str] | None = None) -> "Response":
+def document(status: int, content: Any, headers: MutableMapping[str, str] | None = None) -> Response:
     """Return an answer of JSON that nobody keeps."""
-    from starlette.responses import JSONResponse
-
     return JSONResponse(content, status, {"cache-control": "no-store", **(headers or {})})
 
 
-def refusal(status: int, path: str, message: str, advice: str = "") -> "Response":
+def refusal(status: int, path: str, message: str, advice: str = "") -> Response:
     """Return an answer that says what is wrong, in the words and form of the command line."""
     return document(status, {"errors": [{"path": path, "message": message, "advice": advice}]})
 
 
-def of_error(error: AgentError) -> "Response":
+def of_error(error: AgentError) -> Response:
     """Return the answer to what cannot be done: 400 for nonsense, 409 for what the database refuses."""
     status = 400 if isinstance(error, UsageError) else 409 if isinstance(error, StoreError) else 500
     return document(status, {"errors": [fault_document(fault) for fault in error.faults]})
@@ -57,17 +54,17 @@ class Guard:
             needed all the same.
     """
 
-    def __init__(self, inner: "ASGIApp", hosts: Iterable[str] | None) -> None:
+    def __init__(self, inner: ASGIApp, hosts: Iterable[str] | None) -> None:
         self._inner = inner
         self._hosts = None if hosts is None else frozenset(hosts)
 
-    async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._inner(scope, receive, send)
             return
         begun = False
 
-        async def send_guarded(message: "Message") -> None:
+        async def send_guarded(message: Message) -> None:
             nonlocal begun
             if message["type"] == "http.response.start":
                 begun = True
@@ -91,7 +88,7 @@ class Guard:
                 raise
             await refusal(500, "", "unforeseen", "see the log of deltak serve")(scope, receive, send_guarded)
 
-    def _is_host(self, scope: "Scope") -> bool:
+    def _is_host(self, scope: Scope) -> bool:
         if self._hosts is None:
             return True
         said = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"host"), "")

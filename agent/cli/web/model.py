@@ -73,7 +73,9 @@ def _of_template(model: Domain) -> _Graph:
     """Draw nodes and the rows between them; without such rows what keeps energy, exchanges or loses it."""
     plant = model.plant(frozenset())
     known = {part.name: part.nominal for part in plant.parts}
-    links = [(key, row) for key, rows in model if isinstance(rows, tuple) for row in rows if _is_link(row)]
+    links = [
+        (key, row) for key, rows in model if isinstance(rows, tuple) for row in rows if isinstance(row, Link)
+    ]
     if not links:
         stored = dict(_stored(plant))
         return _Graph(
@@ -82,10 +84,6 @@ def _of_template(model: Domain) -> _Graph:
     elements = [_Between(row.name, key, row.between) for key, row in links]
     ends = dict.fromkeys(end for element in elements for end in element.between if end != GROUND)
     return _Graph({end: known.get(end, 0.0) for end in ends}, elements)
-
-
-def _is_link(row: object) -> bool:
-    return isinstance(row, Link)
 
 
 def _stored(plant: "Plant") -> Iterator[tuple[int, str]]:

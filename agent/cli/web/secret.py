@@ -1,10 +1,12 @@
 """The password or token that opens a session: kept in a file, a password as its scrypt hash (RFC 7914)."""
 
 import base64
+import getpass
 import hashlib
 import hmac
 import os
 import stat
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -76,6 +78,16 @@ def from_files(password: Path | None, token: Path | None) -> Secret | None:
     return None if token is None else _token(token)
 
 
+def asked_password() -> str:
+    """Ask for a new password, twice on a terminal. Raises UsageError where the two differ."""
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().rstrip("\n")
+    first, second = getpass.getpass("password: "), getpass.getpass("once more: ")
+    if first != second:
+        raise UsageError.at("password", "was not the same twice", "try again")
+    return first
+
+
 def write_password(path: Path, text: str) -> None:
     """Write a password's hash to a file only its owner can read. Raises UsageError where that cannot be."""
     write_closed(path, f"{Secret.of_password(text).line()}\n")
@@ -90,7 +102,7 @@ def write_closed(path: Path, content: str) -> None:
             file.write(content)
     except OSError as error:
         raise UsageError.at(
-            str(path), f"cannot be written ({error})", "name a file that can be written"
+            path, f"cannot be written ({error})", "name a file that can be written"
         ) from error
 
 
@@ -107,7 +119,7 @@ def closed_content(path: Path) -> str:
             content = file.read(_MOST_BYTES_OF_FILE).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError.at(
-            str(path), f"cannot be read ({error})", "name a file with a password or a token"
+            path, f"cannot be read ({error})", "name a file with a password or a token"
         ) from error
     check_closed(path, mode)
     return content
@@ -122,16 +134,14 @@ def check_closed(path: Path, mode: int) -> None:
     folder = os.environ.get("CREDENTIALS_DIRECTORY")
     is_handed_over = folder is not None and path.parent == Path(folder)
     if mode & (_OTHERS if is_handed_over else _OTHERS | _GROUP):
-        raise UsageError.at(
-            str(path), f"may be used by others (mode {mode & 0o7777:04o})", f"chmod 600 {path}"
-        )
+        raise UsageError.at(path, f"may be used by others (mode {mode & 0o7777:04o})", f"chmod 600 {path}")
 
 
 def _password(path: Path) -> Secret:
     secret = Secret.read(closed_content(path))
     if secret is None:
         advice = f"make it with `deltak serve --new-password {path}`"
-        raise UsageError.at(str(path), "holds no hash of a password", advice)
+        raise UsageError.at(path, "holds no hash of a password", advice)
     return secret
 
 
@@ -139,7 +149,5 @@ def _token(path: Path) -> Secret:
     content = closed_content(path)
     if len(content) < _SHORTEST_TOKEN:
         what = f"holds a token of {len(content)} characters"
-        raise UsageError.at(
-            str(path), what, f"take at least {_SHORTEST_TOKEN}, such as `openssl rand -hex 32`"
-        )
+        raise UsageError.at(path, what, f"take at least {_SHORTEST_TOKEN}, such as `openssl rand -hex 32`")
     return Secret(token=content.encode())

@@ -1,6 +1,5 @@
 """`deltak serve`: options to settings, and the server that runs until it is stopped."""
 
-import getpass
 import ipaddress
 import socket
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from agent.cli.glance.files import Watched, several
-from agent.cli.web.secret import Secret, from_files, write_password
+from agent.cli.web.secret import Secret, asked_password, from_files, write_password
 from agent.errors import UsageError
 from agent.storage.read import queries
 
@@ -64,13 +63,7 @@ def serve(databases: Sequence[Path], configs: Sequence[Path], options: Options) 
 
 def new_password(path: Path) -> None:
     """Ask for a password, twice on a terminal, and write its hash. Raises UsageError."""
-    if sys.stdin.isatty():
-        first, second = getpass.getpass("password: "), getpass.getpass("once more: ")
-        if first != second:
-            raise UsageError.at("password", "was not the same twice", "try again")
-    else:
-        first = sys.stdin.readline().rstrip("\n")
-    write_password(path, first)
+    write_password(path, asked_password())
     sys.stdout.write(f"wrote {path}; start with --password-file {path}\n")
 
 

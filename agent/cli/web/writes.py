@@ -5,9 +5,11 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from anyio.to_thread import run_sync
+from starlette.requests import Request
+from starlette.responses import Response
 
 from agent.cli.glance.files import Watched
 from agent.cli.web.guard import document, of_error, refusal
@@ -15,10 +17,6 @@ from agent.cli.web.operate import CAUSES, operate
 from agent.cli.web.secret import Secret
 from agent.cli.web.sessions import LIFE_S, Attempts, Session, Sessions
 from agent.errors import AgentError
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 COOKIE: Final = "deltak_session"
 _MOST_BYTES = 16384  # of a request's body
@@ -39,15 +37,15 @@ class Writes:
     attempts: Attempts = field(default_factory=Attempts)
     _gate: asyncio.Lock = field(default_factory=asyncio.Lock)
 
-    def session_of(self, request: "Request") -> Session | None:
+    def session_of(self, request: Request) -> Session | None:
         """Return the session of whoever asks; None without one."""
         return self.sessions.find(request.cookies.get(COOKIE))
 
-    async def who(self, request: "Request") -> "Response":
+    async def who(self, request: Request) -> Response:
         """Answer GET /api/v1/session: whether there is one, its name and what its writes must bring along."""
         return document(200, _shown(self.session_of(request), possible=self.secret is not None))
 
-    async def sign_in(self, request: "Request") -> "Response":
+    async def sign_in(self, request: Request) -> Response:
         """Answer POST /api/v1/session {"name", "password"}; 429 after 5 wrong ones a minute per address."""
         try:
             asked = await _object(request)
@@ -62,7 +60,7 @@ class Writes:
             return refusal(*refused.args)
         return await self._tried(request, self.secret, name, password)
 
-    async def _tried(self, request: "Request", secret: Secret, name: str, password: str) -> "Response":
+    async def _tried(self, request: Request, secret: Secret, name: str, password: str) -> Response:
         address = request.client.host if request.client is not None else ""
         async with self._gate:  # one try at a time: each takes memory and time on purpose
             wait_s = self.attempts.wait_s(address)
@@ -86,7 +84,7 @@ class Writes:
         )
         return answer
 
-    async def sign_out(self, request: "Request") -> "Response":
+    async def sign_out(self, request: Request) -> Response:
         """Answer DELETE /api/v1/session."""
         try:
             self._signed_in(request)
@@ -97,7 +95,7 @@ class Writes:
         answer.delete_cookie(COOKIE, httponly=True, samesite="strict")
         return answer
 
-    async def act(self, request: "Request") -> "Response":
+    async def act(self, request: Request) -> Response:
         """Answer POST /api/v1/alarms/DB/ID/ack, shelve and unshelve."""
         place = request.path_params
         try:
@@ -117,7 +115,7 @@ class Writes:
             return of_error(error)
         return document(200, done)
 
-    def _signed_in(self, request: "Request") -> Session:
+    def _signed_in(self, request: Request) -> Session:
         """Return the session of a request that may write: its cookie is known, its token the session's."""
         session = self.session_of(request)
         if session is None:
@@ -137,7 +135,7 @@ def _shown(session: Session | None, *, possible: bool) -> dict[str, Any]:
     }
 
 
-async def _object(request: "Request") -> Mapping[str, Any]:
+async def _object(request: Request) -> Mapping[str, Any]:
     """Return a request's object; types other than JSON, which a foreign form could send, are refused."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
         raise _RefusedError(415, "content-type", "is not application/json", "send JSON")

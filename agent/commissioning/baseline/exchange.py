@@ -25,9 +25,7 @@ def exported(path: Path, rig: str | None) -> dict[str, Any]:
     target = target_of(path, rig)
     found = baselines.standing(target.db, target.rig)
     if not found:
-        raise UsageError.at(
-            str(target.db), f"{target.rig} has no baseline", "learn one: deltak baseline learn"
-        )
+        raise UsageError.at(target.db, f"{target.rig} has no baseline", "learn one: deltak baseline learn")
     return {"form": FORM, "version": VERSION, "baselines": [asdict(one) for one in found]}
 
 
@@ -55,14 +53,14 @@ def _read(file: Path) -> list[Baseline]:
         for one in found:
             TypeAdapter(tuple[Dependence, ...]).validate_json(one.covariates)
     except OSError as error:
-        raise UsageError.at(str(file), f"cannot be read: {error.strerror}", "name a file there is") from error
+        raise UsageError.at(file, f"cannot be read: {error.strerror}", "name a file there is") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         why = str(error).partition("\n")[0]
         raise UsageError.at(
-            str(file), f"is no export of baselines ({why})", "make it by baseline export"
+            file, f"is no export of baselines ({why})", "make it by baseline export"
         ) from error
     if not found:
-        raise UsageError.at(str(file), "holds no baseline", "make it by deltak baseline export")
+        raise UsageError.at(file, "holds no baseline", "make it by deltak baseline export")
     return found
 
 

@@ -42,7 +42,7 @@ def limits(
     if not found:
         advice = f"learn one from a healthy time first: deltak baseline learn {place}"
         raise UsageError.at(
-            str(target.db), f"{target.rig} has no baseline, and so no spread to set limits by", advice
+            target.db, f"{target.rig} has no baseline, and so no spread to set limits by", advice
         )
     rows = {one.parameter: _row(target, one, per_year) for one in found}
     return {
@@ -58,7 +58,7 @@ def _row(target: Target, one: Baseline, per_year: float) -> dict[str, Any]:
     healthy = healthy_of(target, one)
     if healthy is None:
         what = f"{one.parameter} has no valid row, and so no sd of a window"
-        raise UsageError.at(str(target.db), what, "let the agent run while the machine moves")
+        raise UsageError.at(target.db, what, "let the agent run while the machine moves")
     confidence = _confidence(target.config, one.parameter)
     found = proposed(healthy, per_year, confidence)
     limit, delay_s = _rounded(found.limit), _rounded(found.on_delay_s)

@@ -42,7 +42,7 @@ def _check_graph(config: RigConfig, stored: str) -> None:
     own = graph_of(config)
     if own != stored:
         what = f"its graph ({own}) is not that of the stored rows ({stored})"
-        raise UsageError.at(str(config.file), what, "learn when the agent has run with it")
+        raise UsageError.at(config.file, what, "learn when the agent has run with it")
 
 
 def target_of(path: Path, rig: str | None) -> Target:

@@ -41,7 +41,7 @@ def tried(place: Path, rig: str | None, file: Path, since: str | None, until: st
     rules = [rule for rule in rules if rule.parameter in there]
     if not rules:
         what = "has no [[alarm]] on a parameter that the database has rows of"
-        raise UsageError.at(str(file), what, f"there are rows of {', '.join(there) or 'none'}")
+        raise UsageError.at(file, what, f"there are rows of {', '.join(there) or 'none'}")
     known = {one.parameter: one for one in baselines.standing(target.db, target.rig)}
     would: list[dict[str, Any]] = []
     rows = 0
@@ -66,7 +66,7 @@ def _check_unit(config: RigConfig, rule: Alarm, rows: Sequence[Row]) -> None:
     unit = config.parameters[rule.parameter].unit if rule.parameter in estimated(config) else ""
     if rows and rows[-1]["unit"] != unit:
         what = f"{rule.parameter} is in {unit or 'nothing'} there, in {rows[-1]['unit']} in the store"
-        raise UsageError.at(str(config.file), what, "try the limits of a configuration of the same machine")
+        raise UsageError.at(config.file, what, "try the limits of a configuration of the same machine")
 
 
 def _decided(

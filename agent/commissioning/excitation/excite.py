@@ -102,7 +102,7 @@ def _moving(config: RigConfig, recording: Path) -> Recorded:
     if not np.any(moved > least):
         what = "nothing moves beyond the noise of its sensor"
         raise RecordingError.at(
-            str(recording), what, "give one that was recorded while the machine moved, or none"
+            recording, what, "give one that was recorded while the machine moved, or none"
         )
     return recorded
 

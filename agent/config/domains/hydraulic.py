@@ -62,7 +62,8 @@ class Hydraulic(Domain):
             plant.read(("level", row.name), nodes[row.name], 1.0 / head)
         nodes |= {row.name: _store(plant, row, "m3/Pa", 1.0) for row in self.vessel}
         for link in self.restriction:
-            _restrict(plant, link, nodes)
+            powers = {plant.part(link.name, link.nominal, "Pa s/m3"): -1}
+            plant.join(link, nodes | {GROUND: None}, powers, "pressure")
         for line in self.line:
             _lay(plant, line, nodes)
         return plant
@@ -74,15 +75,6 @@ def _store(plant: Plant, row: Store, unit: str, factor: float) -> int:
     plant.drive(("flow", row.name), node)
     plant.read(("pressure", row.name), node)
     return node
-
-
-def _restrict(plant: Plant, link: Link, nodes: dict[str, int]) -> None:
-    powers = {plant.part(link.name, link.nominal, "Pa s/m3"): -1}
-    one, other = (nodes.get(end) for end in link.between)
-    plant.across(one, other, powers)
-    for inner, outer in ((one, link.between[1]), (other, link.between[0])):
-        if inner is not None and outer not in nodes and outer != GROUND:
-            plant.drive(("pressure", outer), inner, 1.0, powers)
 
 
 def _lay(plant: Plant, line: Line, nodes: dict[str, int]) -> None:

@@ -121,6 +121,14 @@ class Plant:
                 if row is not None and column is not None:
                     self.flow(row, column, into * seen, powers)
 
+    def join(self, link: "Link", nodes: Mapping[str, int | None], powers: Powers, imposed: str) -> None:
+        """Put a two-terminal element between nodes, None for ground; an end that is none is imposed on it."""
+        one, other = (nodes.get(end) for end in link.between)
+        self.across(one, other, powers)
+        for inner, outer in ((one, link.between[1]), (other, link.between[0])):
+            if inner is not None and outer not in nodes:
+                self.drive((imposed, outer), inner, 1.0, powers)
+
     def place(self, quantity: str, at: str) -> Place | None:
         """Return the place of a channel; without `at` the only one of its quantity; None if there is none."""
         places = [place for place in (*self.drives, *self.reads) if place[0] == quantity]

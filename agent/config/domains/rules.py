@@ -23,17 +23,14 @@ class Signal(Protocol):
     @property
     def quantity(self) -> Quantity:
         """What it is of."""
-        ...
 
     @property
     def at(self) -> str:
         """Where it is, as the file says."""
-        ...
 
     @property
     def unit(self) -> str:
         """Its unit."""
-        ...
 
 
 def check_template(model: Domain, estimated: Iterable[str], faults: Faults) -> None:

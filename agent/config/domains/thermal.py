@@ -51,13 +51,6 @@ class Thermal(Domain):
             plant.read(("temperature", C), node)
         for links, unit, power in ((self.conductance, "W/K", 1), (self.resistance, "K/W", -1)):
             for link in links:
-                _join(plant, link, nodes, {plant.part(link.name, link.nominal, unit): power})
+                powers = {plant.part(link.name, link.nominal, unit): power}
+                plant.join(link, nodes, powers, "temperature")
         return plant
-
-
-def _join(plant: Plant, link: Link, nodes: dict[str, int], powers: dict[str, int]) -> None:
-    one, other = (nodes.get(end) for end in link.between)
-    plant.across(one, other, powers)
-    for inner, outer in ((one, link.between[1]), (other, link.between[0])):
-        if inner is not None and outer not in nodes:
-            plant.drive(("temperature", outer), inner, 1.0, powers)

@@ -37,7 +37,6 @@ class Titled(Protocol):
     @property
     def name(self) -> str:
         """Its name."""
-        ...
 
 
 def unique(

@@ -35,13 +35,13 @@ def _files(path: Path) -> list[Path]:
         )
     except OSError as error:
         raise ConfigError.at(
-            str(path), f"cannot be read: {error.strerror}", "let the agent's user read it"
+            path, f"cannot be read: {error.strerror}", "let the agent's user read it"
         ) from error
     if not found:
-        raise ConfigError.at(str(path), "holds no *.toml", "put the configuration of a rig there")
+        raise ConfigError.at(path, "holds no *.toml", "put the configuration of a rig there")
     for file in found:
         if file.exists() and not file.is_file():
-            raise ConfigError.at(str(file), "is no file, its end may never come", "take it out of the folder")
+            raise ConfigError.at(file, "is no file, its end may never come", "take it out of the folder")
     return found
 
 
@@ -52,10 +52,10 @@ def read_bytes(file: Path) -> bytes:
             data = stream.read(LIMIT_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise ConfigError.at(str(file), f"cannot be read: {reason}", "name a configuration file") from error
+        raise ConfigError.at(file, f"cannot be read: {reason}", "name a configuration file") from error
     if len(data) > LIMIT_BYTES:
         raise ConfigError.at(
-            str(file), f"is larger than {LIMIT_BYTES // 1_000_000} MB", "a configuration is a short TOML text"
+            file, f"is larger than {LIMIT_BYTES // 1_000_000} MB", "a configuration is a short TOML text"
         )
     return data
 
@@ -78,7 +78,7 @@ def parse_toml(data: bytes, file: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise _not_toml(str(error), text, file) from error
     except (RecursionError, ValueError) as error:
-        raise ConfigError.at(str(file), "is not TOML that can be read", f"{_reason(error)}") from error
+        raise ConfigError.at(file, "is not TOML that can be read", f"{_reason(error)}") from error
 
 
 def _not_toml(words: str, text: str, file: Path) -> ConfigError:

@@ -67,7 +67,9 @@ def _played(made: Path, scenario: str, database: Path, *, fast: bool) -> dict[st
     truth_file = made.with_name("truth.npz")
     with ExitStack() as stack:
         device = stack.enter_context(_process(_sim(made, scenario, truth_file, fast=fast), wait_for="ready"))
-        agent = stack.enter_context(_process(_run(made, database)))
+        agent = stack.enter_context(
+            _process(_deltak("run", str(made), "--db", str(database), "--json", "--kind", "demo"))
+        )
         processes = {"the simulated device": device, "the agent": agent}
         _await_rows(database, config.estimator.estimate[0], _rows_expected(config), processes)
         document = _ended(agent)
@@ -82,10 +84,6 @@ def _deltak(*args: str) -> list[str]:
 def _sim(config: Path, scenario: str, truth: Path, *, fast: bool) -> list[str]:
     command = _deltak("sim", str(config), "--scenario", scenario, "--truth", str(truth), "--json")
     return [*command, "--fast"] if fast else command
-
-
-def _run(config: Path, db: Path) -> list[str]:
-    return _deltak("run", str(config), "--db", str(db), "--json", "--kind", "demo")
 
 
 @contextmanager

@@ -51,7 +51,7 @@ def segments(config: RigConfig, truth: Truth, rows: Sequence[Row]) -> list[dict[
     """Return each stretch of constant parameters with its last estimates beside the truth and the bound."""
     rate = config.rig.sample_rate_hz
     edges = _edges(config, truth)
-    index = _indices(config, rows)
+    index = [_sample(config, rows, row["t_ns"]) for row in rows]
     found = []
     for start, stop in pairwise(edges):
         last = max((i for i in index if start <= i < stop), default=None)
@@ -73,11 +73,6 @@ def _edges(config: RigConfig, truth: Truth) -> list[int]:
     values = np.column_stack([truth.parameters[name] for name in _names(config)])
     changes = np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1)) + 1
     return [0, *changes.tolist(), truth.samples]
-
-
-def _indices(config: RigConfig, rows: Sequence[Row]) -> list[int]:
-    """Sample numbers of rows."""
-    return [_sample(config, rows, row["t_ns"]) for row in rows]
 
 
 def _assessed(name: str, truth: Truth, at: int, row: Row, bounds: Mapping[str, float]) -> dict[str, Any]:

@@ -9,9 +9,8 @@ import numpy as np
 from agent.errors import Fault, UsageError
 from agent.evaluation.paper import cases
 from agent.evaluation.paper.figures import draw, new_figure
-from agent.evaluation.paper.matrix import in_range, least_lower_rows, matrices, observer_poles
 from agent.evaluation.paper.methods import product_rows, seed_settings, valid_changes
-from agent.evaluation.paper.text import table
+from agent.evaluation.paper.text import in_range, least_lower_rows, matrices, observer_poles, table
 from agent.numerics.model.margins import condition_3, condition_8
 from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed_window import SeedFit, fit_passes
@@ -166,18 +165,16 @@ def remarks(document: dict[str, Any]) -> list[str]:
         f"stiffness is up to {worst:.0f} % off in case 1."
     )
     recentred = (
-        f"Re-centred on the parameters it has found, {case['passes']} passes in all, "
-        "the same method leaves the observer less and less to correct; "
-        "in case 1 it comes to the true values but for "
-        f"{_remaining(case['rows'])}. "
-        f"Of these passes number {_nearest_pass(case)} is nearest to the published table."
+        f"Re-centred on the parameters it has found, {case['passes']} passes in all, the same method leaves "
+        "the observer less and less to correct; in case 1 it comes to the true values but for "
+        f"{_remaining(case['rows'])}. Of these passes number {_nearest_pass(case)} is nearest to the "
+        "published table."
     )
     product = (
-        "Both columns run on the paper's first-order model and on data made with it; "
-        "the product fits the exactly sampled model by maximum likelihood to exactly sampled data, "
-        "so that only round-off is left "
-        f"(on the first-order data of case 1 it gives {_listed(case['exact_model_on_euler_data'])}, "
-        "near the published row)."
+        "Both columns run on the paper's first-order model and on data made with it; the product fits the "
+        "exactly sampled model by maximum likelihood to exactly sampled data, so that only round-off is left "
+        f"(on the first-order data of case 1 it gives {_listed(case['exact_model_on_euler_data'])}, near the "
+        "published row)."
     )
     return [as_printed, recentred, product, _evidence(case["range_of_gain"])]
 
@@ -185,11 +182,9 @@ def remarks(document: dict[str, Any]) -> list[str]:
 def _evidence(found: dict[str, Any]) -> str:
     """Say why the published matrix is not one that the method as printed gives."""
     return (
-        "The published matrix cannot come from the method as printed: "
-        "its regressand is K_e times the innovation, so that one pass gives K_e times some matrix, "
-        "in which the last two rows are at least "
-        f"{found['least_lower_rows']:.3f} of the first two "
-        f"(ours: {found['as_printed']['lower_rows']:.3f}); "
+        "The published matrix cannot come from the method as printed: its regressand is K_e times the "
+        "innovation, so that one pass gives K_e times some matrix, in which the last two rows are at least "
+        f"{found['least_lower_rows']:.3f} of the first two (ours: {found['as_printed']['lower_rows']:.3f}); "
         f"those published are {found['published']['lower_rows']:.0e} of them, and "
         f"{100 * found['published']['outside']:.1f} % of that matrix lies outside the range of K_e."
     )

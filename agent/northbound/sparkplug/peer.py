@@ -7,7 +7,6 @@ takes what one connection sends in order, so its answer says that it has the bat
 import json
 import re
 import socket
-from collections.abc import Iterable
 from itertools import groupby
 from typing import Final
 
@@ -50,7 +49,7 @@ class SparkplugPeer:
     def open(self) -> None:
         self._place.keep_number(_BD_SEQ, (self._bd_seq + 1) % _NUMBERS)
         for rig, rows in groupby(sorted(self._place.newest(), key=_rig), _rig):
-            for reading in _of("estimates", rows):
+            for reading in (reading for row in rows for reading in readings("estimates", row)):
                 self._learn(rig, reading, historical=False)
         self._connection.open()
         if self._consumer.primary_host is not None:
@@ -159,7 +158,3 @@ def _newer(known: tuple[int, bool] | None, payload: bytes) -> tuple[int, bool] |
 
 def _rig(row: Row) -> str:
     return str(row["rig"])
-
-
-def _of(topic: str, rows: Iterable[Row]) -> Iterable[Reading]:
-    return (reading for row in rows for reading in readings(topic, row))

@@ -251,7 +251,22 @@ def innovation_step(
     return np.asarray(step * settings.scale)
 
 
-class SeedWindow:
+class RowsAlone:
+    """A method of estimation that makes rows and learns nothing."""
+
+    spikes = 0
+
+    def knowledge(self) -> None:
+        """Return nothing: this method learns nothing that lasts."""
+
+    def adopt(self, content: str) -> None:
+        """Take nothing."""
+
+    def hurry(self) -> None:
+        """Go on as ever: rows are all that this method makes."""
+
+
+class SeedWindow(RowsAlone):
     """The seed's estimator over a stream of samples; the same calls as `agent.numerics.estimator.sliding`.
 
     The observer's first pass runs once over the stream from state zero, as printed. A row counts as full when
@@ -266,23 +281,12 @@ class SeedWindow:
         self._history = settings.plan.window + self._run_up
         self.start_segment()
 
-    def knowledge(self) -> None:
-        """Return nothing: this method learns nothing that lasts."""
-
-    def adopt(self, content: str) -> None:
-        """Take nothing."""
-
-    def hurry(self) -> None:
-        """Go on as ever: rows are all that this method makes."""
-
     def start_segment(self) -> None:
         """Forget the samples before a gap."""
         model = self._sampled
         self._seen = 0
         self._states = np.zeros((1, model.n))
         self._y, self._u = np.zeros((0, model.p)), np.zeros((0, model.m))
-
-    spikes = 0
 
     def step(
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None = None,

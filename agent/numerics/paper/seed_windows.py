@@ -7,28 +7,17 @@ from itertools import chain
 import numpy as np
 
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.paper.seed_window import SeedWindow
+from agent.numerics.paper.seed_window import RowsAlone, SeedWindow
 from agent.types import BoolArray, FloatArray, Status
 
 _CHOSEN = ("theta", "sd", "lower", "upper", "sd_repeat", "status", "reason", "window", "dof")
 
 
-class SeedWindows:
+class SeedWindows(RowsAlone):
     """Windows of several lengths over one stream, the shortest first; the same calls as `SeedWindow`."""
-
-    spikes = 0
 
     def __init__(self, windows: Sequence[SeedWindow]) -> None:
         self.windows = tuple(windows)
-
-    def knowledge(self) -> None:
-        """Return nothing: this method learns nothing that lasts."""
-
-    def adopt(self, content: str) -> None:
-        """Take nothing."""
-
-    def hurry(self) -> None:
-        """Go on as ever: rows are all that this method makes."""
 
     def start_segment(self) -> None:
         """Forget the samples before a gap."""

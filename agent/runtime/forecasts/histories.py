@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.errors import UsageError
-from agent.prognosis.forecast import Forecast, forecast, learn_from
+from agent.prognosis.forecast import forecast, learn_from
 from agent.prognosis.history import DAY_NS, History, blocks, disjoint, sound
 from agent.prognosis.learnt import Learnt
 from agent.prognosis.posterior import FULL, Effort
@@ -112,7 +112,7 @@ def read_prior(path: Path) -> Learnt:
         return Learnt(of, float(found["way"]), int(found["n"]), later, traces)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         advice = "write one by deltak fleet learn"
-        raise UsageError.at(str(path), f"holds no prior: {error}", advice) from error
+        raise UsageError.at(path, f"holds no prior: {error}", advice) from error
 
 
 def forecast_document(
@@ -130,14 +130,10 @@ def forecast_document(
         **{f"{name}_at": _at(newest_ns, seconds) for name, seconds in ahead.items()},
         "chance": found.chance,
         "horizon_s": found.horizon * 86_400.0,
-        "family": _family(found),
+        "family": {name: round(weight, 4) for name, weight in found.family.items()},
         "like": None if like is None else {"histories": like.n},
         "record": record_of(past),
     }
-
-
-def _family(found: Forecast) -> dict[str, float]:
-    return {name: round(weight, 4) for name, weight in found.family.items()}
 
 
 def _seconds(days: float | None) -> float | None:

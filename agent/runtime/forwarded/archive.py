@@ -56,20 +56,18 @@ def _day(folder: Path, names: tuple[str, ...]) -> Iterator[list[list[Any]]]:
         import pyarrow as arrow  # noqa: ICN001 - a word
         from pyarrow import parquet
     except ImportError as error:
-        raise UsageError.at(
-            str(folder), "pyarrow is not installed", "pip install 'deltak[parquet]'"
-        ) from error
+        raise UsageError.at(folder, "pyarrow is not installed", "pip install 'deltak[parquet]'") from error
     tables = []
     for file in sorted(folder.glob("*.parquet")):
         try:
             tables.append(parquet.ParquetFile(file).read(columns=list(names)))
         except (OSError, arrow.ArrowException) as error:
             what = f"cannot be read: {' '.join(str(error).split())}"
-            raise UsageError.at(str(file), what, "take it out of the archive, or restore it") from error
+            raise UsageError.at(file, what, "take it out of the archive, or restore it") from error
     if tables:
         whole = arrow.concat_tables(tables)
         try:
             yield [whole.column(name).to_pylist() for name in names]
         except KeyError as error:
             what = f"has not the columns of a consumer's archive: {error}"
-            raise UsageError.at(str(folder), what, "name the folder of a consumer of kind parquet") from error
+            raise UsageError.at(folder, what, "name the folder of a consumer of kind parquet") from error

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agent.storage.read.points import Points
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.write.rollups import HOUR, MINUTE, SECOND, Groups, grouped
-from agent.types import FloatArray, IntArray, Status
+from agent.types import BoolArray, FloatArray, IntArray, Status
 
 TextArray = NDArray[Any]
 _VALID: Final = int(Status.VALID) << 8
@@ -137,7 +137,7 @@ class History:
         each = -(-len(np.unique(hours.t_ns)) // self._most)
         return hours.at(hours.t_ns // (HOUR * SECOND) % each == 0), HOUR
 
-    def _shown(self, found: Piece) -> NDArray[np.bool_]:
+    def _shown(self, found: Piece) -> BoolArray:
         """Tell which rows no newer run covers, as a database shows the newest run of an instant."""
         shown = np.ones(len(found), dtype=np.bool_)
         for run, (first, last) in self._spans.items():
@@ -150,8 +150,8 @@ def _ordered(rows: Piece) -> Piece:
     return rows.at(np.lexsort((rows.t_ns, rows.reference, rows.parameter.astype(str), rows.run_id)))
 
 
-def _valid(rows: Piece) -> NDArray[np.bool_]:
-    found: NDArray[np.bool_] = (rows.status == "valid") & np.isfinite(rows.value)
+def _valid(rows: Piece) -> BoolArray:
+    found: BoolArray = (rows.status == "valid") & np.isfinite(rows.value)
     return found
 
 

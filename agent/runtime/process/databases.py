@@ -12,7 +12,7 @@ from agent.records import Baseline, CovariateMean, Record, RunInfo
 from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.notifications import Route, nobody
 from agent.storage.write.command_socket import Handler
-from agent.storage.write.retention import Retention
+from agent.storage.write.retention import Density, Retention
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition, Learnt
@@ -47,14 +47,7 @@ class Writer(Protocol):
     def publish(self, records: Sequence[Record]) -> None:
         """Take records; never blocks."""
 
-    def exchange(
-        self,
-        leaving: Collection[str],
-        entering: Sequence[RunInfo],
-        every_s: float,
-        keep: Retention,
-        commit_s: float,
-    ) -> None:
+    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], density: Density) -> None:
         """End the runs of some rigs and begin others. Raises StoreError."""
 
     def hurry(self) -> None:
@@ -117,14 +110,10 @@ def writer_of(
     )
 
 
-def density_of(members: Sequence[RigConfig]) -> tuple[float, Retention, float]:
-    """Return a shared file's period of estimates, s, how long it keeps rows, and how often it commits."""
-    return min(c.store.every_s for c in members), _retention(members), min(c.store.commit_s for c in members)
-
-
-def _retention(members: Sequence[RigConfig]) -> Retention:
-    """How long rows of a shared file are kept: as long as the most patient of its configurations asks."""
+def density_of(members: Sequence[RigConfig]) -> Density:
+    """Return a shared file's: rows kept as long as the most patient of its configurations asks."""
     full, minute, hour = (
         max(getattr(c.store.keep, tier) for c in members) for tier in ("full", "minute", "hour")
     )
-    return Retention(full, minute, hour, max(c.store.max_mb for c in members) * 1e6)
+    keep = Retention(full, minute, hour, max(c.store.max_mb for c in members) * 1e6)
+    return Density(min(c.store.every_s for c in members), keep, min(c.store.commit_s for c in members))

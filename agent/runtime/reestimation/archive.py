@@ -71,7 +71,7 @@ def _files(place: Path) -> Iterator[Path]:
 def _rig(path: Path, rigs: Sequence[RigConfig]) -> RigConfig:
     """Return the configuration for a recording, under its rig's name. Raises RecordingError."""
     if not path.exists():
-        raise RecordingError.at(str(path), "no such file", "name a recording, or a folder of them")
+        raise RecordingError.at(path, "no such file", "name a recording, or a folder of them")
     name = header_of(path).rig if is_own(path) else _unnamed(path)
     chosen = rigs if len(rigs) == 1 else [rig for rig in rigs if rig.rig.name == name]
     if not chosen:
@@ -80,7 +80,7 @@ def _rig(path: Path, rigs: Sequence[RigConfig]) -> RigConfig:
             if name
             else "does not say of which rig it is"
         )
-        raise RecordingError.at(str(path), what, "give its configuration by --config")
+        raise RecordingError.at(path, what, "give its configuration by --config")
     rig = chosen[0]
     if name not in {"", rig.rig.name}:
         rig = rig.model_copy(update={"rig": rig.rig.model_copy(update={"name": name})})
@@ -94,4 +94,4 @@ def _unnamed(path: Path) -> str:
     if path.suffix.lower() in {*TABLES, *CAN_LOGS}:
         return ""
     advice = "an archive holds what `record = true` left, CSV or NPZ tables, or logs of CAN frames"
-    raise RecordingError.at(str(path), "is no recording", advice)
+    raise RecordingError.at(path, "is no recording", advice)

@@ -8,7 +8,6 @@ give what one process gives, to the last bit.
 import pickle
 from typing import NamedTuple
 
-from agent.config import RigConfig
 from agent.errors import Fault, RecordingError
 from agent.recording.source import OwnRecording
 from agent.records import Record
@@ -60,15 +59,11 @@ def computed(work: First | bytes, hour_ns: int) -> Part:
         faults = playing.assessed(playing.pipeline.config.rig.name)
     except OSError as error:
         raise RecordingError.at(
-            _name(playing.pipeline.config), f"its recordings: {error}", "try again"
+            playing.pipeline.config.rig.name, f"its recordings: {error}", "try again"
         ) from error
     finally:
         playing.close()
     return Part(None, records, [*advice, *map(str, faults)], damaged)
-
-
-def _name(rig: RigConfig) -> str:
-    return rig.rig.name
 
 
 def _damaged(playing: Playing) -> list[Fault]:

@@ -136,7 +136,11 @@ class Reestimation:
     def _repeat(self, broken: list[Work]) -> None:
         """Compute again what was under way when a local process died."""
         wait(self._pending)
-        broken += [self._pending.pop(future) for future in list(self._pending) if _is_lost(future)]
+        broken += [
+            self._pending.pop(future)
+            for future in list(self._pending)
+            if isinstance(future.exception(), BrokenProcessPool)
+        ]
         log.warning("a process died; %d parts are computed again", len(broken))
         self.pool.renew()
         for work in broken:
@@ -176,10 +180,6 @@ class Reestimation:
 def _fatal(merge: Merge, words: str) -> Fault:
     what = f"is left there: the processes that computed its next hour died ({words})"
     return Fault(merge.rig.rig.name, what, "see the kernel's log whether memory ran out")
-
-
-def _is_lost(future: Future[Part]) -> bool:
-    return isinstance(future.exception(), BrokenProcessPool)
 
 
 def reestimate(wanted: Wanted, progress: Progress) -> dict[str, Any]:

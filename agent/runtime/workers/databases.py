@@ -82,14 +82,14 @@ class WorkersDatabases:
                     if self._is_reloading() or self.ending:
                         raise
                 if self._stopped.wait(_AGAIN_S):
-                    raise AgentError.at(str(runs.path), "the agent is ending")
+                    raise AgentError.at(runs.path, "the agent is ending")
 
     def _begun(self, runs: Runs) -> Facts:
         writer = self._opened(runs.path)
         names = [run.rig for run in runs.entering]
         leaving = {*runs.leaving, *names} - self._fresh
         if leaving:
-            writer.exchange(tuple(leaving), runs.entering, *density_of(self._members(runs.path)))
+            writer.exchange(tuple(leaving), runs.entering, density_of(self._members(runs.path)))
         self._fresh -= set(names)
         facts = Facts(
             _of(names, writer.run_ids), _of(names, writer.standing), _of(names, writer.learnt),
@@ -105,7 +105,7 @@ class WorkersDatabases:
         if writer is None or not members or self.ending:
             return  # it is closed, or about to be
         try:
-            writer.exchange(runs.leaving, (), *density_of(members))
+            writer.exchange(runs.leaving, (), density_of(members))
         except AgentError as error:
             log.warning("%s: runs that ended are still open: %s", runs.path, error)
 

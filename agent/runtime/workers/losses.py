@@ -29,7 +29,7 @@ class Losses:
         if rig in self._newest:
             self._broken.setdefault(rig, self._newest[rig])
         message = f"{rig}: {words}; the rig begins anew"
-        alarm = AlarmTransition(rig, "source", WORKER, "high", t_ns, "NORM", "UNACK", "raise", message)
+        alarm = AlarmTransition.plain(rig, "source", WORKER, t_ns, message, stands=True)
         return [HealthEvent(rig, WORKER, t_ns, ENDED, message), alarm]
 
     def see(self, config: RigConfig, batch: EstimateBatch) -> list[Record]:

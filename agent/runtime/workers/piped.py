@@ -15,7 +15,7 @@ from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.notifications import Route
 from agent.storage.write.backlog import Backlog
 from agent.storage.write.command_socket import Handler
-from agent.storage.write.retention import Retention
+from agent.storage.write.retention import Density
 from agent.types import AlarmTransition, Learnt
 
 RECORDS, BEGIN, LEFT = "records", "begin", "left"
@@ -94,16 +94,9 @@ class PipedWriter:
         if not posted:
             self._link.post(self._taken)
 
-    def exchange(
-        self,
-        leaving: Collection[str],
-        entering: Sequence[RunInfo],
-        every_s: float,
-        keep: Retention,
-        commit_s: float,
-    ) -> None:
+    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], density: Density) -> None:
         """Have runs ended and others begun; the agent knows what other workers' rigs ask of the file."""
-        del every_s, keep, commit_s
+        del density
         self._begin(tuple(leaving), tuple(entering))
 
     def hurry(self) -> None:

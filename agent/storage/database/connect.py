@@ -211,9 +211,9 @@ def connect_reader(path: Path, *, any_schema: bool = False) -> Reader:
     check_place(path)
     kind = kind_of(path)
     if kind is Kind.MISSING:
-        raise StoreError.at(str(path), "there is no such database", "give the path that the agent writes to")
+        raise StoreError.at(path, "there is no such database", "give the path that the agent writes to")
     if kind is Kind.DAMAGED:
-        raise StoreError.at(str(path), "the database is damaged", "run `deltak db repair`")
+        raise StoreError.at(path, "the database is damaged", "run `deltak db repair`")
     refuse(path, kind)
     for mode in ("mode=ro", "mode=ro&immutable=1"):
         connection = sqlite3.connect(
@@ -234,7 +234,7 @@ def unreadable(path: Path, error: Exception) -> StoreError:
     """Return the error of a file that SQLite cannot read."""
     damaged = is_damage(error) or isinstance(error, UnicodeDecodeError)
     advice = "run `deltak db repair`" if damaged else "look at its permissions and its disk"
-    fault = StoreError.at(str(path), f"the database cannot be read ({error})", advice)
+    fault = StoreError.at(path, f"the database cannot be read ({error})", advice)
     assert isinstance(fault, StoreError)  # noqa: S101 - `at` makes an error of its own class
     return fault
 
@@ -243,10 +243,10 @@ def _current(connection: Reader, path: Path, version: int, strange: str | None) 
     if version < SCHEMA_VERSION:
         connection.close()
         advice = "start the agent on it once, which brings it up to date"
-        raise StoreError.at(str(path), f"the database is of the older version {version}", advice)
+        raise StoreError.at(path, f"the database is of the older version {version}", advice)
     if strange is not None:
         connection.close()
-        raise StoreError.at(str(path), f"the database is damaged ({strange})", "run `deltak db repair`")
+        raise StoreError.at(path, f"the database is damaged ({strange})", "run `deltak db repair`")
     return connection
 
 

@@ -68,7 +68,7 @@ def refuse_links(path: Path) -> None:
         file = beside(path, suffix)
         if file.is_symlink():
             advice = "give the path that it leads to" if not suffix else "remove it"
-            raise StoreError.at(str(file), "is a symbolic link, which is not written through", advice)
+            raise StoreError.at(file, "is a symbolic link, which is not written through", advice)
 
 
 def hand_over(handle: int, like: Path) -> None:
@@ -128,7 +128,7 @@ def kind_of(path: Path) -> Kind:
     except FileNotFoundError:
         return Kind.MISSING
     except PermissionError as error:
-        raise StoreError.at(str(path), "permission denied", "run as a user who may read it") from error
+        raise StoreError.at(path, "permission denied", "run as a user who may read it") from error
     if not head:
         return Kind.MISSING
     application_id = int.from_bytes(head[68:72], "big")
@@ -163,21 +163,21 @@ def refuse(path: Path, kind: Kind) -> None:
     """Raise StoreError for files that this version must not touch."""
     if kind is Kind.FOREIGN:
         raise StoreError.at(
-            str(path), "this file is not a deltak database", "give another path; it was not changed"
+            path, "this file is not a deltak database", "give another path; it was not changed"
         )
     if kind is Kind.NEWER:
         advice = f"this program reads up to version {SCHEMA_VERSION}: update it; the file was not changed"
-        raise StoreError.at(str(path), "the database was written by a newer version of deltak", advice)
+        raise StoreError.at(path, "the database was written by a newer version of deltak", advice)
 
 
 def check_place(path: Path) -> None:
     """Raise StoreError when no database can lie at a path."""
     if path.is_dir():
-        raise StoreError.at(str(path), "is a directory", "give the path of a file")
+        raise StoreError.at(path, "is a directory", "give the path of a file")
     if path.exists() and not path.is_file():  # opening a pipe may wait for ever
-        raise StoreError.at(str(path), "is a pipe or a device", "give the path of a file")
+        raise StoreError.at(path, "is a pipe or a device", "give the path of a file")
     if not path.parent.is_dir():
-        raise StoreError.at(str(path), f'there is no folder "{path.parent}"', "make it first")
+        raise StoreError.at(path, f'there is no folder "{path.parent}"', "make it first")
 
 
 def check_writable(path: Path) -> None:
@@ -193,7 +193,7 @@ def check_writable(path: Path) -> None:
         pass  # met again, and reported, when it is opened in earnest
     if forbidden:
         advice = f"run as the owner of the file and of its folder, or let this user write to {folder}"
-        raise StoreError.at(str(path), "permission denied", advice)
+        raise StoreError.at(path, "permission denied", advice)
 
 
 _LOCK_MARK = b"deltak "
@@ -223,24 +223,22 @@ class Lock:
             holder = self._holder()
             os.close(self.handle)
             what = f"process {holder} is writing to this database"
-            raise StoreHeldError.at(str(path), what, "stop it first") from error
+            raise StoreHeldError.at(path, what, "stop it first") from error
         self._sign()
 
     def _opened(self) -> int:
         try:
             handle = opened(self._file, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK, 0o600)
         except PermissionError as error:
-            raise StoreError.at(
-                str(self._file), "permission denied", "run as the owner of the folder"
-            ) from error
+            raise StoreError.at(self._file, "permission denied", "run as the owner of the folder") from error
         except OSError as error:
             if error.errno != errno.ELOOP:
                 raise
-            raise StoreError.at(str(self._file), "is a symbolic link", "remove it") from error
+            raise StoreError.at(self._file, "is a symbolic link", "remove it") from error
         if stat.S_ISREG(os.fstat(handle).st_mode):
             return handle
         os.close(handle)
-        raise StoreError.at(str(self._file), "is not a regular file", "remove it")
+        raise StoreError.at(self._file, "is not a regular file", "remove it")
 
     def _holder(self) -> str:
         words = os.pread(self.handle, 64, 0).decode("ascii", "replace").split()

@@ -8,30 +8,19 @@ what seldom changes (series, fits, verdicts) is named by number.
 
 import sqlite3
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from agent import __version__
 from agent.storage.database.checksum import with_crc
 from agent.storage.database.columns import ADDED, TABLES, insert_sql
-from agent.storage.database.views import CLOCKS, EVENT_RECORDS, VIEWS
-from agent.storage.database.views_of_parts import REPEAT_AND_VERDICTS, STEPS
-from agent.storage.database.views_since_version_7 import (
-    BASELINES,
-    CONDITIONS,
-    COVARIATES,
-    FORECASTS,
-    NOTIFICATIONS,
-    OPERATIONS,
-    TRENDS,
-)
+from agent.storage.database.views import VIEWS
 
 if TYPE_CHECKING:
-    from sqlite_utils import Database
     from sqlite_utils.migrations import Migrations
 
 APPLICATION_ID = 0x64744B31
@@ -40,80 +29,55 @@ SCHEMA_VERSION = 9
 """Counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
 """Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
-_SINCE = {
-    "event_records": 2, "clocks": 5, "learnt": 6, "hypotheses": 6, "forecasts": 7, "shelves": 7,
-    "annotations": 7,
-    "sites": 7, "graphs": 7, "baselines": 7, "notifications": 7, "covariates": 8, "conditions": 8,
-    "trends": 9,
-}  # fmt: skip
-"""The version that brought a table, of those that version 1 did not have."""
-
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
 
-_CONSUMERS = (
-    "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, "
-    "last_seq INTEGER NOT NULL DEFAULT 0, "
-    "topic TEXT NOT NULL DEFAULT 'estimates', UNIQUE (name, topic)) STRICT"
-)
 
-_INDEXES = (
-    "CREATE INDEX hops_by_time ON hops (run_id, span, t_ns)",
-    "CREATE INDEX runs_by_rig ON runs (rig_id)",
-    "CREATE INDEX series_by_run ON series (run_id)",
-    "CREATE INDEX overlaps_by_run ON overlaps (run_id)",
-    "CREATE INDEX alarms_by_run ON alarms (run_id)",
-    "CREATE INDEX alarm_events_by_alarm ON alarm_events (alarm_id)",
-    "CREATE INDEX health_by_run ON health (run_id, t_ns)",
-)
+@dataclass(frozen=True)
+class _Step:
+    """One migration, a version's: the tables, indexes and views that it makes, and what else it does.
 
+    A view that there is already is made anew. Views stand with the version that changed them last: one that
+    a later version makes anew is left to it.
+    """
 
-def _tables_views_and_marks(db: "Database") -> None:
-    """Make everything of version 1 in the transaction that the migration runs in."""
-    for table in TABLES:
-        if table not in _SINCE:
-            _create(db.conn, table)
-    for statement in (_CONSUMERS, *_INDEXES, *VIEWS):
-        db.conn.execute(statement)
-    for number, (key, value) in enumerate(
-        (("schema_version", "1"), ("created_by", f"deltak {__version__}")), 1
-    ):
-        db.conn.execute(insert_sql("meta"), with_crc((number, key, value)))
-    _mark(db.conn, 1)
+    tables: Sequence[str] = ()
+    indexes: Sequence[str] = ()
+    views: Sequence[str] = ()
+    change: Callable[[sqlite3.Connection], None] = lambda _: None
+
+    def take(self, connection: sqlite3.Connection, version: int) -> None:
+        """Take the step in the transaction that is open, and mark the file as of its version."""
+        for table in self.tables:
+            columns = f"seq INTEGER PRIMARY KEY, {TABLES[table]}, crc INTEGER NOT NULL"
+            connection.execute(f"CREATE TABLE {table} ({columns}) STRICT")
+        self.change(connection)
+        for index in self.indexes:
+            connection.execute(f"CREATE INDEX {index}")
+        for view in self.views:
+            connection.execute(f"DROP VIEW IF EXISTS {view}")
+            connection.execute(f"CREATE VIEW {view} AS {VIEWS[view]}")
+        _mark(connection, version)
 
 
-def _event_records(db: "Database") -> None:
-    """Version 2: the index of the samples kept around alarms."""
-    _create(db.conn, "event_records")
-    db.conn.execute("CREATE INDEX alarms_by_time ON alarms (run_id, raised_ns)")
-    db.conn.execute(EVENT_RECORDS)
-    _mark(db.conn, 2)
+def _begin(connection: sqlite3.Connection) -> None:
+    """Make what every version has: the cursors of consumers, and the rows that say whose file it is."""
+    connection.execute(
+        "CREATE TABLE consumers (seq INTEGER PRIMARY KEY, name TEXT NOT NULL, "
+        "last_seq INTEGER NOT NULL DEFAULT 0, topic TEXT NOT NULL DEFAULT 'estimates', "
+        "UNIQUE (name, topic)) STRICT"
+    )
+    rows = (("schema_version", "1"), ("created_by", f"deltak {__version__}"))
+    for number, (key, value) in enumerate(rows, 1):
+        connection.execute(insert_sql("meta"), with_crc((number, key, value)))
 
 
-def _clocks(db: "Database") -> None:
-    """Version 3: drift and skew of sources in v_health."""
-    for statement in CLOCKS:
-        db.conn.execute(statement)
-    _mark(db.conn, 3)
-
-
-def _calibrations(db: "Database") -> None:
-    """Version 4: what was learnt of a rig's disturbances, in a table that version 6 has no more."""
-    _mark(db.conn, 4)
-
-
-def _steps(db: "Database") -> None:
-    """Version 5: which rows of a run were stamped by one setting of the wall clock, so that ages are true.
+def _note_clocks(connection: sqlite3.Connection) -> None:
+    """Note runs stamped by one setting of the wall clock: their stamps are true, so are ages of their rows.
 
     Earlier programs told of a step in an event; the stamps of a run without one are its own true times.
     """
-    _create(db.conn, "clocks")
-    db.conn.execute("CREATE INDEX clocks_by_run ON clocks (run_id)")
-    for seq, (run_id, first) in enumerate(db.conn.execute(_UNSTEPPED).fetchall(), 1):
-        cells = (seq, run_id, run_id, None, first)
-        db.conn.execute(insert_sql("clocks"), with_crc(cells))
-    for statement in STEPS:
-        db.conn.execute(statement)
-    _mark(db.conn, 5)
+    for seq, (run_id, first) in enumerate(connection.execute(_UNSTEPPED).fetchall(), 1):
+        connection.execute(insert_sql("clocks"), with_crc((seq, run_id, run_id, None, first)))
 
 
 _UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r.seq
@@ -122,61 +86,49 @@ _UNSTEPPED = """SELECT r.seq, (SELECT min(h.t_ns) FROM hops h WHERE h.run_id = r
  AND e.source = 'clock' AND e.cause = 'clock step') ORDER BY r.seq"""
 
 
-def _repeat_and_verdicts(db: "Database") -> None:
-    """Version 6: sd_repeat, beliefs on a rig's constants, and what was learnt of it whatever else changed."""
+def _add_columns(connection: sqlite3.Connection) -> None:
+    """Add sd_repeat; what version 4 kept of a rig's disturbances is learnt anew, in another table."""
     for table, columns in ADDED.items():
         for column in columns:
-            db.conn.execute(f"ALTER TABLE {table} ADD COLUMN {column} REAL")
-    db.conn.execute("DROP TABLE IF EXISTS calibrations")
-    _create(db.conn, "learnt")
-    _create(db.conn, "hypotheses")
-    for statement in REPEAT_AND_VERDICTS:
-        db.conn.execute(statement)
-    _mark(db.conn, 6)
+            connection.execute(f"ALTER TABLE {table} ADD COLUMN {column} REAL")
+    connection.execute("DROP TABLE IF EXISTS calibrations")
 
 
-def _forecasts_operations_baselines_notifications(db: "Database") -> None:
-    """Version 7: forecasts; shelves, advice and site beside alarms; baselines; what targets are notified of.
-
-    One step, so that a file is never of a version whose tables it has in part.
-    """
-    for table in ("forecasts", "shelves", "annotations", "sites", "graphs", "baselines", "notifications"):
-        _create(db.conn, table)
-    db.conn.execute("CREATE INDEX graphs_by_run ON graphs (run_id)")
-    for statement in (FORECASTS, *OPERATIONS, *BASELINES, *NOTIFICATIONS):
-        db.conn.execute(statement)
-    _mark(db.conn, 7)
-
-
-def _covariates_conditions(db: "Database") -> None:
-    """Version 8: what healthy parameters may depend on; what the paper's conditions say of each window."""
-    for table in ("covariates", "conditions"):
-        _create(db.conn, table)
-    for statement in (*COVARIATES, *CONDITIONS):
-        db.conn.execute(statement)
-    _mark(db.conn, 8)
-
-
-def _trends(db: "Database") -> None:
-    """Version 9: how parameters moved, as the agent saw it."""
-    _create(db.conn, "trends")
-    db.conn.execute(TRENDS)
-    _mark(db.conn, 9)
-
-
-_STEPS: dict[str, Callable[["Database"], None]] = {
-    "0001_tables_views_and_marks": _tables_views_and_marks,
-    "0002_event_records": _event_records,
-    "0003_clocks": _clocks,
-    "0004_calibrations": _calibrations,
-    "0005_steps": _steps,
-    "0006_repeat_and_verdicts": _repeat_and_verdicts,
-    "0007_forecasts_operations_baselines_notifications": _forecasts_operations_baselines_notifications,
-    "0008_covariates_conditions": _covariates_conditions,
-    "0009_trends": _trends,
-}
+_STEPS = {
+    "0001_tables_views_and_marks": _Step(
+        ("meta", "rigs", "runs", "series", "fits", "verdicts", "hops", "estimates", "spreads", "overlaps",
+         "alarms", "alarm_events", "health", "events", "counters", "sequences"),
+        ("hops_by_time ON hops (run_id, span, t_ns)", "runs_by_rig ON runs (rig_id)",
+         "series_by_run ON series (run_id)", "overlaps_by_run ON overlaps (run_id)",
+         "alarms_by_run ON alarms (run_id)", "alarm_events_by_alarm ON alarm_events (alarm_id)",
+         "health_by_run ON health (run_id, t_ns)"),
+        ("v_alarm_events", "v_events", "v_meta"), _begin),
+    # the samples kept around alarms
+    "0002_event_records": _Step(
+        ("event_records",), ("alarms_by_time ON alarms (run_id, raised_ns)",), ("v_event_records",)),
+    # drift and skew of sources
+    "0003_clocks": _Step(views=("v_health", "v_health_reasons")),
+    "0004_calibrations": _Step(),
+    "0005_steps": _Step(
+        ("clocks",), ("clocks_by_run ON clocks (run_id)",), ("v_runs",), _note_clocks),
+    # sd_repeat, beliefs on a rig's constants, and what was learnt of it whatever else changed
+    "0006_repeat_and_verdicts": _Step(
+        ("learnt", "hypotheses"), (),
+        ("v_estimates", "v_estimates_windows", "v_latest", "v_tiers", "v_verdicts"), _add_columns),
+    # one step, so that a file is never of a version whose tables it has in part
+    "0007_forecasts_operations_baselines_notifications": _Step(
+        ("forecasts", "shelves", "annotations", "sites", "graphs", "baselines", "notifications"),
+        ("graphs_by_run ON graphs (run_id)", "annotations_by_alarm ON annotations (alarm_id)",
+         "notifications_pending ON notifications (target) WHERE state = 'pending'"),
+        ("v_forecast", "v_alarms", "v_baselines", "v_notifications")),
+    # what healthy parameters may depend on; what the paper's conditions say of each window
+    "0008_covariates_conditions": _Step(
+        ("covariates", "conditions"), ("covariates_by_run ON covariates (run_id, span, t_ns)",),
+        ("v_covariates", "v_conditions")),
+    # how parameters moved, as the agent saw it
+    "0009_trends": _Step(("trends",), (), ("v_trend",)),
+}  # fmt: skip
 """The migrations in order. A view's text is part of a version: a file where it differs counts as damaged."""
-
 
 _RECORD_OF_MIGRATIONS = (
     """CREATE TABLE "_sqlite_migrations" (
@@ -189,13 +141,6 @@ _RECORD_OF_MIGRATIONS = (
     ON "_sqlite_migrations" ("migration_set", "name")""",
 )
 """sqlite-utils' table of the migrations that were applied, in its own words."""
-
-
-def _create(connection: sqlite3.Connection, table: str) -> None:
-    columns = TABLES[table]
-    connection.execute(
-        f"CREATE TABLE {table} (seq INTEGER PRIMARY KEY, {columns}, crc INTEGER NOT NULL) STRICT"
-    )
 
 
 def _mark(connection: sqlite3.Connection, version: int) -> None:
@@ -227,8 +172,8 @@ def migrations() -> "Migrations":
     from sqlite_utils.migrations import Migrations
 
     steps = Migrations("deltak")
-    for name, step in _STEPS.items():
-        steps(name=name)(step)
+    for version, (name, step) in enumerate(_STEPS.items(), 1):
+        steps(name=name)(lambda db, step=step, version=version: step.take(db.conn, version))
     return steps
 
 
@@ -236,8 +181,8 @@ def migrations() -> "Migrations":
 def own_schema() -> dict[tuple[str, str], tuple[str, str | None]]:
     """Return what a file of this version consists of: (type, name) -> table, text."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
-        for step in _STEPS.values():
-            step(cast("Database", SimpleNamespace(conn=connection)))
+        for version, step in enumerate(_STEPS.values(), 1):
+            step.take(connection, version)
         return _schema(connection)
 
 
@@ -281,8 +226,8 @@ def write_schema(connection: sqlite3.Connection) -> None:
     connection.execute("BEGIN")
     for statement in _RECORD_OF_MIGRATIONS:
         connection.execute(statement)
-    for name, step in _STEPS.items():
-        step(cast("Database", SimpleNamespace(conn=connection)))
+    for version, (name, step) in enumerate(_STEPS.items(), 1):
+        step.take(connection, version)
         row = ("deltak", name, str(datetime.now(UTC)))
         connection.execute(
             "INSERT INTO _sqlite_migrations (migration_set, name, applied_at) VALUES (?, ?, ?)", row

@@ -8,12 +8,12 @@ from operator import is_
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.storage.database.checksum import row_crc
 from agent.storage.database.columns import TABLES, columns_of, numbers_crc
 from agent.storage.database.connect import damaged, is_damage
 from agent.storage.database.schema import strange_schema
+from agent.types import BoolArray, FloatArray
 
 Row = tuple[Any, ...]
 _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}
@@ -26,7 +26,7 @@ _ORPHANS = """SELECT count(*) FROM estimates e WHERE NOT EXISTS
  OR NOT EXISTS (SELECT 1 FROM fits f WHERE f.seq = e.fit_id)"""
 
 
-def good_rows(table: str, rows: Sequence[Row]) -> NDArray[np.bool_]:
+def good_rows(table: str, rows: Sequence[Row]) -> BoolArray:
     """Tell of each row, as `columns_of(table)` names its cells, whether its checksum is right."""
     if not rows:
         return np.zeros(0, dtype=bool)
@@ -35,7 +35,7 @@ def good_rows(table: str, rows: Sequence[Row]) -> NDArray[np.bool_]:
     return good_columns(table, list(zip(*rows, strict=True)))
 
 
-def good_columns(table: str, columns: Sequence[Collection[Any]]) -> NDArray[np.bool_]:
+def good_columns(table: str, columns: Sequence[Collection[Any]]) -> BoolArray:
     """Tell the same of the rows of a table of numbers, given as the columns that they make."""
     try:
         return _numbers_right(table, columns)
@@ -49,7 +49,7 @@ def good_columns(table: str, columns: Sequence[Collection[Any]]) -> NDArray[np.b
         return right
 
 
-def _numbers_right(table: str, cells: Sequence[Collection[Any]]) -> NDArray[np.bool_]:
+def _numbers_right(table: str, cells: Sequence[Collection[Any]]) -> BoolArray:
     """Check columns of integers, then reals or None, then the checksum; raises where they are not."""
     *columns, stored = cells
     integers = _NUMERIC[table]
@@ -58,7 +58,7 @@ def _numbers_right(table: str, cells: Sequence[Collection[Any]]) -> NDArray[np.b
     return np.asarray(numbers_crc(table, [*whole, *real]) == np.array(stored, dtype=np.int64))
 
 
-def _reals(column: Collection[Any]) -> NDArray[np.float64]:
+def _reals(column: Collection[Any]) -> FloatArray:
     """Return a column of reals or None; the columns that most rows leave empty take no time."""
     empty = all(map(is_, column, repeat(None)))
     return np.full(len(column), np.nan) if empty else np.array(column, dtype=np.float64)

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from agent.records import CovariateMean
-from agent.storage.covariates.rows import means_of, newest_means
 from agent.storage.read.selection import reading
+from agent.storage.tables.covariates import means_of, newest_means
 from agent.types import FloatArray, IntArray
 
 _MINUTE_NS = 60_000_000_000

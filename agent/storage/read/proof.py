@@ -21,7 +21,7 @@ from agent.storage.database.connect import Reader, damaged
 from agent.storage.database.schema import own_schema
 from agent.storage.database.verify import bad_rows, good_columns, good_rows
 from agent.storage.tables.ages import Part
-from agent.types import FloatArray, IntArray, Status
+from agent.types import BoolArray, FloatArray, IntArray, Status
 
 Cells = tuple[Any, ...]
 _INDEXED = {
@@ -208,7 +208,7 @@ class Found(NamedTuple):
     sd_repeat: FloatArray
     series: IntArray
 
-    def at(self, rows: "NDArray[np.bool_] | NDArray[np.intp]") -> "Found":
+    def at(self, rows: "BoolArray | NDArray[np.intp]") -> "Found":
         """Return the rows that a mask or an array of places names."""
         return Found(
             self.t_ns[rows], self.value[rows], self.sd[rows], self.sd_repeat[rows], self.series[rows]
@@ -283,7 +283,7 @@ _POINTS_AT_ONCE = 4000
 
 def _sound_piece(
     reader: Reader, run: int, span: int, columns: Sequence[Cells]
-) -> tuple[IntArray, NDArray[np.bool_], Found]:
+) -> tuple[IntArray, BoolArray, Found]:
     """Return of rows of `_POINTS` their numbers, which of them prove themselves, and those."""
     right = _right(reader, run, span, columns)
     said = (1, *(3 + _SAID.index(name) for name in ("value", "sd", "repeat", "series_id")))
@@ -297,7 +297,7 @@ def _sound_piece(
     return np.array(columns[3], dtype=np.int64), right, found
 
 
-def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDArray[np.bool_]:
+def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> BoolArray:
     """Tell of each row of `_POINTS` whether it proves itself, and what it names.
 
     What its condition fixes needs no reading: of a row that says otherwise the checksum is another.
@@ -313,7 +313,7 @@ def _right(reader: Reader, run: int, span: int, columns: Sequence[Cells]) -> NDA
     return right
 
 
-def _first_ones(numbers: IntArray) -> NDArray[np.bool_]:
+def _first_ones(numbers: IntArray) -> BoolArray:
     """Tell of each row whether none before it has its number."""
     first = np.zeros(len(numbers), dtype=bool)
     first[np.unique(numbers, return_index=True)[1]] = True

@@ -97,12 +97,7 @@ def latest(db: Path | str, rig: str | None = None) -> Rows:
 
 def alarms(db: Path | str, rig: str | None = None, active: bool = False) -> Rows:
     """Return rows of v_alarms, oldest first; active: only those not back to normal."""
-    with reading(db) as connection:
-        chosen_rigs(connection, rig)
-        condition, values = _where(rig=rig)
-        if active:
-            condition += " AND state <> 'NORM'"
-        return view_rows(connection, "v_alarms", f"{condition} ORDER BY id", values)
+    return _of_rig(db, rig, "v_alarms", "id", " AND state <> 'NORM'" if active else "")
 
 
 def notifications(db: Path | str, state: str | None = None) -> Rows:
@@ -148,12 +143,8 @@ def forecasts(
     db: Path | str, rig: str | None = None, parameter: str | None = None, *, waiting: bool = False
 ) -> Rows:
     """Return rows of v_forecast, oldest first; waiting: only those that are not scored yet."""
-    with reading(db) as connection:
-        chosen_rigs(connection, rig)
-        condition, values = _where(rig=rig, parameter=parameter)
-        if waiting:
-            condition += " AND scored_at IS NULL"
-        return view_rows(connection, "v_forecast", f"{condition} ORDER BY id", values)
+    only = " AND scored_at IS NULL" if waiting else ""
+    return _of_rig(db, rig, "v_forecast", "id", only, parameter=parameter)
 
 
 def event_records(db: Path | str, rig: str | None = None) -> Rows:
@@ -166,12 +157,14 @@ def runs(db: Path | str, rig: str | None = None) -> Rows:
     return _of_rig(db, rig, "v_runs", "run_id")
 
 
-def _of_rig(db: Path | str, rig: str | None, view: str, order: str) -> Rows:
-    """Return all rows of a view, or those of a rig."""
+def _of_rig(
+    db: Path | str, rig: str | None, view: str, order: str, only: str = "", **wanted: object
+) -> Rows:  # fmt: skip
+    """Return all rows of a view, or those of a rig; only, wanted: of these those that say so."""
     with reading(db) as connection:
         chosen_rigs(connection, rig)
-        condition, values = _where(rig=rig)
-        return view_rows(connection, view, f"{condition} ORDER BY {order}", values)
+        condition, values = _where(rig=rig, **wanted)
+        return view_rows(connection, view, f"{condition}{only} ORDER BY {order}", values)
 
 
 def rigs(db: Path | str) -> list[str]:

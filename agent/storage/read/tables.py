@@ -44,7 +44,7 @@ def table_points(
     columns = _meant(path, _columns(path), parameter)
     clock = next(filter(columns.__contains__, _TIMES), None)
     if clock is None or "value" not in columns:
-        raise UsageError.at(str(path), f"has the columns {', '.join(columns) or 'none'}", _ADVICE)
+        raise UsageError.at(path, f"has the columns {', '.join(columns) or 'none'}", _ADVICE)
     t_ns = np.array(
         [_instant(path, row, cell, clock) for row, cell in enumerate(columns[clock], 2)], dtype=np.int64
     )
@@ -73,7 +73,7 @@ def _meant(
     wanted["parameter"] = _only(path, "parameter", columns) if parameter is None else parameter
     there = sorted({str(cell) for cell in columns.get("parameter", ())})
     if there and parameter is not None and parameter not in there:
-        raise UsageError.at(str(path), f"holds no {parameter}", f"it holds {', '.join(there[:20])}")
+        raise UsageError.at(path, f"holds no {parameter}", f"it holds {', '.join(there[:20])}")
     keep = [True] * max(map(len, columns.values()), default=0)
     for name in wanted.keys() & columns.keys():
         keep = [kept and cell == wanted[name] for kept, cell in zip(keep, columns[name], strict=True)]
@@ -84,9 +84,7 @@ def _only(path: Path, name: str, columns: Mapping[str, Sequence[Any]]) -> Any:
     """Return what a column holds throughout. Raises UsageError where that differs."""
     there = sorted({str(cell) for cell in columns.get(name, ())})
     if len(there) > 1:
-        raise UsageError.at(
-            str(path), f"holds several of {name}: {', '.join(there[:20])}", f"name the {name}"
-        )
+        raise UsageError.at(path, f"holds several of {name}: {', '.join(there[:20])}", f"name the {name}")
     return there[0] if there else None
 
 
@@ -100,7 +98,7 @@ def _columns(path: Path) -> Mapping[str, Sequence[Any]]:
         return _csv(path) if path.suffix.lower() == ".csv" else _parquet(path)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError.at(
-            str(path), f"cannot be read: {error}", "name a CSV or Parquet file there is"
+            path, f"cannot be read: {error}", "name a CSV or Parquet file there is"
         ) from error
 
 
@@ -111,7 +109,7 @@ def _csv(path: Path) -> dict[str, list[str]]:
         cells = [[cell or "" for cell in (row[name] for name in rows.fieldnames or ())] for row in rows]
     twice = sorted({name for name in names if name and names.count(name) > 1})
     if twice:
-        raise UsageError.at(str(path), f"has the column {', '.join(twice)} more than once", _ADVICE)
+        raise UsageError.at(path, f"has the column {', '.join(twice)} more than once", _ADVICE)
     return {name: [row[i] for row in cells] for i, name in enumerate(names)}
 
 
@@ -119,7 +117,7 @@ def _lines(path: Path, file: TextIO) -> Iterator[str]:
     """Yield the lines of a file; UsageError for one that is no row of a history, before it fills memory."""
     while line := file.readline(_LONGEST_LINE):
         if len(line) == _LONGEST_LINE:
-            raise UsageError.at(str(path), f"has a row of {_LONGEST_LINE} characters or more", _ADVICE)
+            raise UsageError.at(path, f"has a row of {_LONGEST_LINE} characters or more", _ADVICE)
         yield line
 
 
@@ -128,11 +126,11 @@ def _parquet(path: Path) -> dict[str, list[Any]]:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise UsageError.at(str(path), "pyarrow is not installed", "pip install 'deltak[parquet]'") from error
+        raise UsageError.at(path, "pyarrow is not installed", "pip install 'deltak[parquet]'") from error
     try:
         table = pq.read_table(path)
     except pa.ArrowInvalid as error:
-        raise UsageError.at(str(path), f"cannot be read: {error}", "name a Parquet file") from error
+        raise UsageError.at(path, f"cannot be read: {error}", "name a Parquet file") from error
     return {name: table.column(name).to_pylist() for name in table.column_names}
 
 
@@ -164,9 +162,7 @@ def _deviations(path: Path, cells: Sequence[Any]) -> "np.ndarray[Any, np.dtype[n
     """Return the sd of every row (n,): 0 where none states one."""
     sd = _numbers(path, "sd", cells)
     if (sd < 0.0).any():
-        raise UsageError.at(
-            str(path), f"the column sd holds {sd[sd < 0.0][0]:g}, which is no deviation", _ADVICE
-        )
+        raise UsageError.at(path, f"the column sd holds {sd[sd < 0.0][0]:g}, which is no deviation", _ADVICE)
     stated = sd[np.isfinite(sd)]
     return np.where(np.isnan(sd), float(np.median(stated)) if len(stated) else 0.0, sd)
 
@@ -177,12 +173,8 @@ def _numbers(path: Path, name: str, cells: Sequence[Any]) -> "np.ndarray[Any, np
             [math.nan if cell in {None, ""} else float(cell) for cell in cells], dtype=np.float64
         )
     except (TypeError, ValueError) as error:
-        raise UsageError.at(
-            str(path), f"the column {name} holds what is no number: {error}", _ADVICE
-        ) from error
+        raise UsageError.at(path, f"the column {name} holds what is no number: {error}", _ADVICE) from error
     beyond = found[np.isfinite(found) & (np.abs(found) > _LARGEST)]
     if len(beyond):
-        raise UsageError.at(
-            str(path), f"the column {name} holds {beyond[0]:g}, past what is measured", _ADVICE
-        )
+        raise UsageError.at(path, f"the column {name} holds {beyond[0]:g}, past what is measured", _ADVICE)
     return found

@@ -1,1 +1,1 @@
-"""Records as rows, one file a table. No transaction is opened here."""
+"""Records as rows, and rows read back as records. No transaction is opened here."""

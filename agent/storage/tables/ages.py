@@ -84,10 +84,9 @@ _EDGE = (
 )
 _PARTS = (
     "SELECT r.seq, coalesce(c.part_of, r.seq) AS run, r.kind = 'live', coalesce(c.offset_ns, 0), "  # noqa: S608 - own
-    f"coalesce(c.from_ns, {_EDGE.format('min', 'ASC')}), {_EDGE.format('max', 'DESC')} AS last, "
-    "c.seq IS NOT NULL "
-    "FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq LEFT JOIN clocks c ON c.run_id = r.seq "
-    "WHERE g.name = ? AND last IS NOT NULL ORDER BY run, r.seq"
+    f"coalesce(c.from_ns, {_EDGE.format('min', 'ASC')}), {_EDGE.format('max', 'DESC')} AS last, c.seq IS NOT "
+    "NULL FROM rigs g CROSS JOIN runs r ON r.rig_id = g.seq LEFT JOIN clocks c ON c.run_id = r.seq WHERE "
+    "g.name = ? AND last IS NOT NULL ORDER BY run, r.seq"
 )
 
 

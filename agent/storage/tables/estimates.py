@@ -1,11 +1,44 @@
-"""Estimate batches as rows, by whole columns: a replay writes tens of thousands of rows a second."""
+"""Estimate batches, joined and as rows, by whole columns: a replay writes tens of thousands a second."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.storage.database.columns import COLUMN_BITS, numbers_crc
 from agent.storage.tables.rows import FitKey, Names, Numbers, Plan
-from agent.types import EstimateBatch, FloatArray, IntArray, Reason, Status
+from agent.types import PER_HOP, BoolArray, EstimateBatch, FloatArray, IntArray, Reason, Status
+
+
+def join(batches: Sequence[EstimateBatch]) -> EstimateBatch:
+    """Return one batch of all rows; the batches must share their header (see `header_of`)."""
+    if len(batches) == 1:
+        return batches[0]
+    parts: dict[str, Any] = {name: np.concatenate([getattr(b, name) for b in batches]) for name in PER_HOP}
+    others = tuple(join(same) for same in zip(*(b.others for b in batches), strict=True))
+    return replace(batches[0], **parts, others=others)
+
+
+def header_of(batch: EstimateBatch) -> tuple[object, ...]:
+    """Return what is the same for every row of a batch, as something that can be compared."""
+    plain = tuple(
+        getattr(batch, f.name) for f in fields(batch) if f.name not in (*PER_HOP, "reference", "others")
+    )
+    return (*plain, len(batch.others), np.asarray(batch.reference, dtype=np.float64).tobytes())
+
+
+def joined_runs(batches: Sequence[EstimateBatch]) -> Iterator[EstimateBatch]:
+    """Yield the batches with consecutive ones of one header joined; their order stays."""
+    group: list[EstimateBatch] = []
+    for batch in batches:
+        if group and header_of(group[0]) != header_of(batch):
+            yield join(group)
+            group = []
+        group.append(batch)
+    if group:
+        yield join(group)
+
 
 _DIVERGED = (int(Status.INVALID) << 8) | int(Reason.DIVERGED)
 _VALID = int(Status.VALID)
@@ -89,7 +122,7 @@ def _few_digits(dof: FloatArray) -> FloatArray:
 
 def _symmetric(
     value: FloatArray, sd: FloatArray, lower: FloatArray, upper: FloatArray, dof: FloatArray
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Tell where lower and upper follow from value, sd and Student's t; (N, q)."""
     from scipy.special import stdtrit
 
@@ -97,7 +130,7 @@ def _symmetric(
     slack = _SAME * sd
     follows = (np.abs(value - half - lower) <= slack) & (np.abs(value + half - upper) <= slack)
     nothing = np.isnan(value) & np.isnan(lower) & np.isnan(upper)
-    answer: NDArray[np.bool_] = follows | nothing
+    answer: BoolArray = follows | nothing
     return answer
 
 
@@ -119,7 +152,7 @@ def _verdicts(batch: EstimateBatch, value: FloatArray, sd: FloatArray, names: Na
 
 
 def _fits(
-    batch: EstimateBatch, dof: FloatArray, symmetric: NDArray[np.bool_], names: Names, *, chosen: bool
+    batch: EstimateBatch, dof: FloatArray, symmetric: BoolArray, names: Names, *, chosen: bool
 ) -> IntArray:
     """Return (N q,) numbers of fits; looked up only where something changes from one hop to the next."""
     out = np.empty(batch.value.shape, dtype=np.int64)

@@ -64,9 +64,8 @@ def notification(connection: sqlite3.Connection, seq: int) -> NotificationRow | 
 def pending(connection: sqlite3.Connection, target: str, most: int) -> list[NotificationRow]:
     """Return the oldest rows that a target is still to get, in the order of the steps."""
     query = (
-        f"SELECT {', '.join(columns_of('notifications'))} FROM notifications "
-        "INDEXED BY notifications_pending "
-        "WHERE target = ? AND state = 'pending' ORDER BY seq LIMIT ?"
+        f"SELECT {', '.join(columns_of('notifications'))} FROM notifications INDEXED BY "
+        "notifications_pending WHERE target = ? AND state = 'pending' ORDER BY seq LIMIT ?"
     )
     found = [_proven(cells) for cells in connection.execute(query, (target, most))]
     return [row for row in found if row is not None]

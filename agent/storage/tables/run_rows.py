@@ -3,37 +3,27 @@
 import json
 import logging
 import sqlite3
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from agent.records import (
     ClockRecord,
-    ConditionsRecord,
-    CovariateMean,
     EventRecord,
-    ForecastRecord,
     ForecastScore,
     Health,
     HealthEvent,
     LearntRecord,
     Record,
     RunInfo,
-    TrendRecord,
 )
 from agent.storage.tables.ages import jump_words
 from agent.storage.tables.alarms import AlarmRow, AlarmRows
-from agent.storage.tables.batches import joined_runs
-from agent.storage.tables.clocks import ClockRows, add_run
-from agent.storage.tables.coverage import Coverage
-from agent.storage.tables.estimates import add_estimates
-from agent.storage.tables.event_records import EventRecordRows
-from agent.storage.tables.forecasts import add_forecast, add_score, add_trend
-from agent.storage.tables.learnt import LearntRows
+from agent.storage.tables.clocks import ClockRows, Coverage, add_run
+from agent.storage.tables.estimates import add_estimates, joined_runs
+from agent.storage.tables.records import EventRecordRows, HealthRows, LearntRows, add_one_row, add_score
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tables.status import HealthRows, add_conditions, add_event, add_mean, add_verdict
-from agent.types import AlarmTransition, EstimateBatch, Verdict
+from agent.types import AlarmTransition, EstimateBatch
 
 _CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 
@@ -152,15 +142,8 @@ class RunRows:
             add_score(plan, record, self._connection())
         elif isinstance(record, EventRecord):
             self._records.apply(plan, record, run_id, self._numbers, self._connection())
-        elif type(record) in _ADDERS:
-            _ADDERS[type(record)](plan, record, run_id, self._numbers)
-
-
-_ADDERS: Mapping[type, Callable[[Plan, Any, int, Numbers], None]] = {
-    HealthEvent: add_event, Verdict: add_verdict, CovariateMean: add_mean, TrendRecord: add_trend,
-    ConditionsRecord: add_conditions, ForecastRecord: add_forecast,
-}  # fmt: skip
-"""What adds a record that is one row of a table and depends on none that was stored before."""
+        else:
+            add_one_row(plan, record, run_id, self._numbers)
 
 
 def run_plan(run_id: int, run: RunInfo, names: Names, numbers: Numbers) -> Plan:

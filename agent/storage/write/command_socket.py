@@ -290,15 +290,15 @@ def ask(
             answer = json.loads(_last_line(peer, time.monotonic() + timeout_s if brief else None))
     except TimeoutError as error:
         advice = "it may still be done: look, then try again"
-        raise StoreError.at(str(path), f"its agent did not answer in {timeout_s:g} s", advice) from error
+        raise StoreError.at(path, f"its agent did not answer in {timeout_s:g} s", advice) from error
     except PermissionError as error:
         advice = f"run as the agent's user, or join the group {GROUP}"
-        raise StoreError.at(str(path), "its agent may not be commanded by this user", advice) from error
+        raise StoreError.at(path, "its agent may not be commanded by this user", advice) from error
     except (OSError, ValueError) as error:
         advice = "stop the process that holds the database, or try again"
-        raise StoreError.at(str(path), f"its agent cannot be asked ({error})", advice) from error
+        raise StoreError.at(path, f"its agent cannot be asked ({error})", advice) from error
     if not answer.pop("ok", False):
         if answer.get("faults"):
             raise StoreError(Fault(*map(str, fault)) for fault in answer["faults"])
-        raise StoreError.at(str(path), str(answer.get("error")), "see its log")
+        raise StoreError.at(path, str(answer.get("error")), "see its log")
     return dict(answer)

@@ -95,9 +95,7 @@ def _store_baselines(
     try:
         found = [Baseline(**fields) for fields in asked]
     except TypeError as error:
-        raise StoreError.at(
-            str(store.path), f"no baseline was given ({error})", "use deltak baseline"
-        ) from error
+        raise StoreError.at(store.path, f"no baseline was given ({error})", "use deltak baseline") from error
     numbered = store.add_baselines(found)
     on_baselines(store)
     return {"baseline_ids": [one.baseline_id for one in numbered]}

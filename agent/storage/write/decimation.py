@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.records import Record
-from agent.storage.tables.batches import header_of, join
-from agent.types import AlarmTransition, EstimateBatch, IntArray
+from agent.storage.tables.estimates import header_of, join
+from agent.types import AlarmTransition, BoolArray, EstimateBatch, IntArray
 
 BEFORE_S = 10.0
 AFTER_S = 60.0
@@ -27,7 +26,7 @@ class Thinner:
     def __init__(self, every_s: float) -> None:
         self._every = round(every_s * 1e9)
         self._held: EstimateBatch | None = None
-        self._passed: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self._passed: BoolArray = np.zeros(0, dtype=bool)
         self._transitions: list[int] = []
 
     def feed(self, records: Sequence[Record]) -> list[Record]:
@@ -73,13 +72,13 @@ class Thinner:
         self._forget(t_ns)
         return out
 
-    def _near_alarm(self, t_ns: IntArray) -> NDArray[np.bool_]:
+    def _near_alarm(self, t_ns: IntArray) -> BoolArray:
         near = np.zeros(len(t_ns), dtype=bool)
         for moment in self._transitions:
             near |= (t_ns >= moment - round(BEFORE_S * 1e9)) & (t_ns <= moment + round(AFTER_S * 1e9))
         return near
 
-    def _newest_of_period(self, t_ns: IntArray, last: bool) -> NDArray[np.bool_]:
+    def _newest_of_period(self, t_ns: IntArray, last: bool) -> BoolArray:
         """Mark the last row before each change of period; the newest row only when nothing follows."""
         period = t_ns // self._every
         newest = np.empty(len(t_ns), dtype=bool)

@@ -1,3 +1,4 @@
+# ruff: noqa: S608 - statements are put together from this package's own names; values are always bound
 """What becomes of notifications: delivered, tried again, given up, sent once more when somebody asks."""
 
 from collections.abc import Callable, Sequence
@@ -5,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from agent.errors import Fault, StoreError
+from agent.storage.database.views import ALARM_NOTES
 from agent.storage.tables.notifications import MOST_ERROR, NotificationRow, notification, pending
 from agent.storage.tables.rows import Plan
 from agent.storage.write.store import Store
@@ -22,19 +24,14 @@ class Due:
     facts: dict[str, Any]
 
 
-_FACTS = """SELECT g.name AS rig, r.code_version AS code_version, n.seq AS event_id, n.alarm_id AS alarm_id,
+_FACTS = f"""SELECT g.name AS rig, r.code_version AS code_version, n.seq AS event_id, n.alarm_id AS alarm_id,
  a.kind AS kind, a.parameter AS parameter, a.priority AS priority, n.from_state AS from_state,
- n.to_state AS to_state,
- n.cause AS cause, n.by_whom AS "by", n.comment AS comment, n.t_ns AS t_ns, a.message AS message,
- a.delta AS delta,
- a.sd AS sd, a.limit_value AS limit_value, a.probability AS probability,
- (SELECT x.advice FROM annotations x WHERE x.alarm_id = a.seq ORDER BY x.seq DESC LIMIT 1) AS advice,
- (SELECT x.percent FROM annotations x WHERE x.alarm_id = a.seq ORDER BY x.seq DESC LIMIT 1) AS percent,
- (SELECT p.site FROM sites p WHERE p.run_id = a.run_id) AS site,
- (SELECT p.labels FROM sites p WHERE p.run_id = a.run_id) AS labels
+ n.to_state AS to_state, n.cause AS cause, n.by_whom AS "by", n.comment AS comment, n.t_ns AS t_ns,
+ a.message AS message, a.delta AS delta, a.sd AS sd, a.limit_value AS limit_value,
+ a.probability AS probability,
+ {ALARM_NOTES}
  FROM alarm_events n JOIN alarms a ON a.seq = n.alarm_id JOIN runs r ON r.seq = a.run_id
- JOIN rigs g ON g.seq = r.rig_id
- WHERE n.seq = ?"""
+ JOIN rigs g ON g.seq = r.rig_id WHERE n.seq = ?"""
 
 
 def due(store: Store, target: str, most: int) -> list[Due]:

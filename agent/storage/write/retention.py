@@ -1,3 +1,4 @@
+# ruff: noqa: S608 - statements are put together from this module's own names; values are always bound
 """How long rows are kept: making minutes and hours, purging by age and by size.
 
 A row's age is what `agent.storage.tables.ages` is sure of: where a wall clock is wrong rows stay longer,
@@ -9,17 +10,47 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from math import ceil, isfinite
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
-from agent.storage.covariates.rows import thin
 from agent.storage.database.checksum import row_crc, with_crc
 from agent.storage.database.columns import COLUMN_BITS, TABLES, columns_of
 from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.tables.ages import Part, parts_of, shifts
+from agent.storage.tables.covariates import thin
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.write.consumers.unsent import acknowledged, count_unsent
-from agent.storage.write.log_bounds import purge_logs, surplus
 from agent.storage.write.rollups import HOUR, MINUTE, SECOND, add_groups, aggregate
+
+KEPT = 100_000
+"""Events, alarms, verdicts, forecasts, trends, lost records: some 20 to 50 MB each: years of a quiet rig."""
+
+_OLD = "seq <= (SELECT seq FROM {table} ORDER BY seq DESC LIMIT 1 OFFSET ?)"
+_OVER = {"events": "", "hypotheses": "", "forecasts": "", "trends": "", "conditions": "", "notifications": "",
+         "alarms": " AND cleared_ns IS NOT NULL",
+         "event_records": " AND state IN ('purged', 'failed')"}  # fmt: skip
+"""What of a table may go: an alarm that stands and a record whose file is there stay, however old."""
+
+
+def surplus(connection: sqlite3.Connection, kept: int = KEPT) -> dict[str, list[int]]:
+    """Return the numbers of what `purge_logs` would delete, by the topic of consumers that it is of."""
+    events, alarms = (_OLD.format(table=table) + _OVER[table] for table in ("events", "alarms"))
+    queries = {
+        "events": f"SELECT seq FROM events WHERE {events}",
+        "alarms": f"SELECT seq FROM alarm_events WHERE alarm_id IN (SELECT seq FROM alarms WHERE {alarms})",
+    }
+    return {topic: [seq for (seq,) in connection.execute(query, (kept,))] for topic, query in queries.items()}
+
+
+def purge_logs(connection: sqlite3.Connection, kept: int = KEPT) -> None:
+    """Delete the oldest rows of what happened beyond a number; inside a transaction."""
+    for table, over in _OVER.items():
+        condition = _OLD.format(table=table) + over
+        if table == "alarms":
+            for part in ("alarm_events", "shelves", "annotations"):
+                query = f"DELETE FROM {part} WHERE alarm_id IN (SELECT seq FROM alarms WHERE {condition})"
+                connection.execute(query, (kept,))
+        connection.execute(f"DELETE FROM {table} WHERE {condition}", (kept,))
+
 
 _LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
 _STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
@@ -38,6 +69,14 @@ class Retention:
     minute_s: float = 90 * 86400.0
     hour_s: float = float("inf")
     max_bytes: float = 1024e6
+
+
+class Density(NamedTuple):
+    """How densely a file holds rows: the periods of estimates (0: all) and commits, s, and for how long."""
+
+    every_s: float
+    keep: Retention
+    commit_s: float
 
 
 def bytes_per_rig_year(
@@ -312,9 +351,9 @@ class TierKeeper:
             left = _edge(connection, run_id, span, "ASC")
             reached = reached if left is None else min(reached, left)
             column = "full_from_ns" if span == 0 else "minute_from_ns"
-            connection.execute(f"UPDATE runs SET {column} = ? WHERE seq = ?", (reached, run_id))  # noqa: S608 - own
+            connection.execute(f"UPDATE runs SET {column} = ? WHERE seq = ?", (reached, run_id))
             names = columns_of("runs")[:-1]
-            row_of_run = f"SELECT {', '.join(names)} FROM runs WHERE seq = ?"  # noqa: S608 - own names
+            row_of_run = f"SELECT {', '.join(names)} FROM runs WHERE seq = ?"
             cells = connection.execute(row_of_run, (run_id,)).fetchone()
             connection.execute("UPDATE runs SET crc = ? WHERE seq = ?", (row_crc(cells), run_id))
         for table in ("hops", "health"):
@@ -323,7 +362,7 @@ class TierKeeper:
 
 
 def _edge(connection: sqlite3.Connection, run_id: int, span: int, order: str) -> int | None:
-    query = f"SELECT t_ns FROM hops WHERE run_id = ? AND span = ? ORDER BY t_ns {order} LIMIT 1"  # noqa: S608 - own
+    query = f"SELECT t_ns FROM hops WHERE run_id = ? AND span = ? ORDER BY t_ns {order} LIMIT 1"
     found = connection.execute(query, (run_id, span)).fetchone()
     return None if found is None else int(found[0])
 
@@ -346,5 +385,5 @@ def _thin_health(connection: sqlite3.Connection, run_id: int, before: int) -> No
     """Keep of old health rows the last of each hour and source, and those a consumer does not have yet."""
     taken = acknowledged(connection, "health")
     kept = "SELECT max(seq) FROM health WHERE run_id = ?1 AND t_ns < ?2 GROUP BY source, t_ns / 3600000000000"
-    query = f"DELETE FROM health WHERE run_id = ?1 AND t_ns < ?2 AND seq <= ?3 AND seq NOT IN ({kept})"  # noqa: S608 - own text
+    query = f"DELETE FROM health WHERE run_id = ?1 AND t_ns < ?2 AND seq <= ?3 AND seq NOT IN ({kept})"
     connection.execute(query, (run_id, before, 2**62 if taken is None else taken))

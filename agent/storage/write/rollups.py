@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent.storage.covariates.merging import merged
 from agent.storage.database.columns import COLUMN_BITS, numbers_crc
+from agent.storage.tables.covariates import merged
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.types import FloatArray, IntArray, Status
+from agent.types import BoolArray, FloatArray, IntArray, Status
 
 SECOND = 1_000_000_000
 MINUTE, HOUR = 60, 3600
@@ -138,7 +138,7 @@ def _new_share(t_ns: IntArray, series: IntArray, window_s: FloatArray, source: i
 
 
 def _weighted(
-    value: FloatArray, sd: FloatArray, share: FloatArray, valid: NDArray[np.bool_], starts: IntArray
+    value: FloatArray, sd: FloatArray, share: FloatArray, valid: BoolArray, starts: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the weighted mean and its sd in each group; NaN where no row is valid."""
     weight = np.where(valid, share / np.maximum(np.where(valid, sd, 1.0), _LEAST_SD) ** 2, 0.0)

@@ -10,7 +10,6 @@ from typing import Self
 
 from agent.errors import StoreError
 from agent.records import Baseline, ClockRecord, CovariateMean, HealthEvent, Record, RunInfo
-from agent.storage.covariates.rows import newest_means
 from agent.storage.database.columns import insert_rows
 from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.database.connect import (
@@ -42,8 +41,9 @@ from agent.storage.database.verify import Scrubber, problems_at_start
 from agent.storage.recovery.salvage import Recovery, finish_interrupted, recover
 from agent.storage.tables.alarms import AlarmRow, AlarmRows, standing_alarms
 from agent.storage.tables.baselines import plan_of, standing_baselines
-from agent.storage.tables.learnt import newest_learnt
+from agent.storage.tables.covariates import newest_means
 from agent.storage.tables.notifications import Outbox, Route, nobody
+from agent.storage.tables.records import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows, run_plan
 from agent.storage.tables.shelves import Shelf
@@ -206,9 +206,7 @@ class Store:
         self._run_rows = self._new_run_rows(self._run_rows.settings())
         problem = self._connect()
         if problem is not None:
-            raise StoreError.at(
-                str(self.path), f"the database cannot be repaired ({problem})", "replace its disk"
-            )
+            raise StoreError.at(self.path, f"the database cannot be repaired ({problem})", "replace its disk")
 
     def recover(self, cause: str) -> None:
         """Replace the file because damage was met while it was open; runs must be begun again."""
@@ -219,7 +217,7 @@ class Store:
     def connection(self) -> sqlite3.Connection:
         """The writing connection; StoreError when the store is closed."""
         if self._connection is None:
-            raise StoreError.at(str(self.path), "the database is closed", "open it again")
+            raise StoreError.at(self.path, "the database is closed", "open it again")
         return self._connection
 
     def begin_run(self, run: RunInfo) -> int:
@@ -306,9 +304,7 @@ class Store:
     def encode(self, run_id: int, records: Sequence[Record]) -> list[Plan]:
         """Turn records into the rows of one or several transactions; nothing is written yet."""
         if run_id not in self._run_rows:
-            raise StoreError.at(
-                str(self.path), f"there is no run {run_id} open for writing", "begin a run first"
-            )
+            raise StoreError.at(self.path, f"there is no run {run_id} open for writing", "begin a run first")
         return self._run_rows.plans(run_id, records)
 
     def commit(self, plans: Sequence[Plan]) -> None:
@@ -402,7 +398,7 @@ class Store:
         """Give free pages back to the disk; needs room for a copy, and no other transaction meanwhile."""
         with self._mutex:
             if not self._finished(lambda: compact(self.connection, self.path, lambda: self.hurried)):
-                raise StoreError.at(str(self.path), "its agent is ending", "ask again when it has ended")
+                raise StoreError.at(self.path, "its agent is ending", "ask again when it has ended")
             self.checkpoint("TRUNCATE")
 
     def maintain(self, *, finish: bool = False) -> None:

@@ -15,13 +15,12 @@ from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.rows import Plan
 from agent.storage.tables.shelves import moment
 from agent.storage.write.alarm_commands import expire_shelves
-from agent.storage.write.backlog import Backlog, Pause, cells_of
+from agent.storage.write.backlog import Backlog, Histogram, Pause, cells_of
 from agent.storage.write.command_socket import CommandServer, Handler
 from agent.storage.write.commands import Listeners, serve
 from agent.storage.write.decimation import Thinner
 from agent.storage.write.jobs import Job, JobQueue
-from agent.storage.write.latency import Histogram
-from agent.storage.write.retention import Retention
+from agent.storage.write.retention import Density
 from agent.storage.write.store import Store, outage
 from agent.types import AlarmTransition, EstimateBatch, Learnt
 
@@ -136,24 +135,17 @@ class StoreWriter:
                 self._urgent = True
                 self._condition.notify_all()
 
-    def exchange(
-        self,
-        leaving: Collection[str],
-        entering: Sequence[RunInfo],
-        every_s: float,
-        keep: Retention,
-        commit_s: float,
-    ) -> None:
+    def exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], density: Density) -> None:
         """End the runs of some rigs, all their records published, and begin others, in the writer's thread.
 
-        every_s, keep and commit_s (the period of batches) hold from now on; a rig that leaves may have no
-        run. Raises StoreError where the store cannot be written at present; nothing is changed then.
+        The density holds from now on; a rig that leaves may have no run. Raises StoreError where the store
+        cannot be written at present; nothing is changed then.
         """
 
         def act(store: Store) -> None:
-            store.retain(keep)
-            self._exchange(leaving, entering, every_s)
-            self._period = commit_s
+            store.retain(density.keep)
+            self._exchange(leaving, entering, density.every_s)
+            self._period = density.commit_s
 
         self._jobs.ask(act)
 
@@ -273,13 +265,10 @@ class StoreWriter:
                 lambda: (
                     self._urgent or self._stopping or (self._asked > self._answered and not self._pause.cause)
                 ),
-                self._wait_s(),
+                min(self._period, self._pause.length_s) if self._pause.cause else self._period,
             )
             self._urgent = False
             return self._asked, self._stopping
-
-    def _wait_s(self) -> float:
-        return min(self._period, self._pause.length_s) if self._pause.cause else self._period
 
     def _exchange(self, leaving: Collection[str], entering: Sequence[RunInfo], every_s: float) -> None:
         self._collect(last=False)

@@ -103,8 +103,7 @@ class DaemonBus(CanBus):
             if answer not in got and (not more or b"< error" in got or len(got) > 4096):
                 raise DriverIOError(
                     f"{self._pipe.name}: socketcand answers {got[:80]!r} to "
-                    f"{command.decode() or 'the connection'}; "
-                    f"does it serve {self._channel}?"
+                    f"{command.decode() or 'the connection'}; does it serve {self._channel}?"
                 )
         self._keep_frames(got.partition(answer)[2])
 

@@ -8,7 +8,7 @@ from drivers.can.codec.frames import FrameTable
 from drivers.can.codec.layout import SUM, XOR, ChecksumKeys
 from drivers.can.codec.signals import SignalCodec
 from drivers.fields import ByteArray
-from drivers.port import DriverConfigError
+from drivers.port import BoolArray, DriverConfigError
 
 
 class FrameCheck:
@@ -44,9 +44,9 @@ class FrameCheck:
                 f'the checksum "{name}" has {self._width} bits; {self._method} makes {wanted}'
             )
 
-    def holds(self, table: FrameTable) -> NDArray[np.bool_]:
+    def holds(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether its checksum is right."""
-        right: NDArray[np.bool_] = self.calculated(table) == self._signal.bits(table)
+        right: BoolArray = self.calculated(table) == self._signal.bits(table)
         return right
 
     def calculated(self, table: FrameTable) -> NDArray[np.uint64]:

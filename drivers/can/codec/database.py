@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.can.codec.checksums import FrameCheck
 from drivers.can.codec.frames import ERROR, EXTENDED, EXTENDED_MASK, FD_LENGTHS, REMOTE, FrameTable
@@ -14,7 +13,7 @@ from drivers.can.codec.layout import FrameKeys
 from drivers.can.codec.python_can import import_lean
 from drivers.can.codec.samples import FrameCounter, Page, Selected, pages_of, shows
 from drivers.can.codec.signals import SignalCodec
-from drivers.port import DriverConfigError, FloatArray, IntArray
+from drivers.port import BoolArray, DriverConfigError, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
@@ -53,9 +52,9 @@ class MessageCodec:
         """The signals of a frame's first sample."""
         return self.samples[0]
 
-    def mine(self, table: FrameTable) -> NDArray[np.bool_]:
+    def mine(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether it belongs to the message."""
-        matching: NDArray[np.bool_] = (table["id"] & np.uint32(self.mask | ERROR)) == np.uint32(self.number)
+        matching: BoolArray = (table["id"] & np.uint32(self.mask | ERROR)) == np.uint32(self.number)
         return matching
 
     def all_sound(self, table: FrameTable) -> bool:
@@ -64,23 +63,23 @@ class MessageCodec:
         whole = ((table["id"] & flags) == np.uint32(self.number)).all() and self.right_length(table).all()
         return bool(whole and self.right_sum(table).all() and self.right_counter(table).all())
 
-    def right_length(self, table: FrameTable) -> NDArray[np.bool_]:
+    def right_length(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether it has as many bytes as the message."""
         lengths = table["length"]
-        right: NDArray[np.bool_] = lengths == self.lengths[0]
+        right: BoolArray = lengths == self.lengths[0]
         for other in self.lengths[1:]:
             right |= lengths == other
         return right
 
-    def right_sum(self, table: FrameTable) -> NDArray[np.bool_]:
+    def right_sum(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether its checksum is right; all of them where there is none."""
         return np.ones(len(table), np.bool_) if self.check is None else self.check.holds(table)
 
-    def right_counter(self, table: FrameTable) -> NDArray[np.bool_]:
+    def right_counter(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether its counter shows a number that it can have."""
         return np.ones(len(table), np.bool_) if self.counter is None else self.counter.possible(table)
 
-    def knows(self, table: FrameTable) -> NDArray[np.bool_]:
+    def knows(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether every multiplexer in it shows a number that the database knows."""
         known = np.ones(len(table), np.bool_)
         for switch, numbers in self.switches:
@@ -270,7 +269,7 @@ def _identity(message: "Message", keys: FrameKeys) -> tuple[int, int]:
     return number | EXTENDED, EXTENDED | mask
 
 
-def is_remote(table: FrameTable) -> NDArray[np.bool_]:
+def is_remote(table: FrameTable) -> BoolArray:
     """Tell of each frame whether it asks for data instead of carrying them."""
-    remote: NDArray[np.bool_] = (table["id"] & np.uint32(REMOTE)) != 0
+    remote: BoolArray = (table["id"] & np.uint32(REMOTE)) != 0
     return remote

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.can.codec.database import MessageCodec, is_remote
 from drivers.can.codec.error_frames import ErrorWatch
 from drivers.can.codec.frames import ERROR, EXTENDED, EXTENDED_MASK, STANDARD_MASK, Frames, FrameTable
 from drivers.can.codec.joiner import Decoded, Joiner, Part
-from drivers.port import Counts, DriverConfigError, Trace
+from drivers.port import BoolArray, Counts, DriverConfigError, Trace
 
 
 class FrameDecoder:
@@ -151,7 +150,7 @@ def shown(frame: np.void) -> str:
     return f"{int(frame['id']) & mask:0{digits}X}#{data}"
 
 
-def _picked(frames: Frames, mask: NDArray[np.bool_]) -> Frames:
+def _picked(frames: Frames, mask: BoolArray) -> Frames:
     """Return the frames that are picked; the usual case, all of them, costs no copy."""
     return frames if mask.all() else Frames(frames.table[mask], frames.t_ns[mask])
 

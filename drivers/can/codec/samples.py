@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.can.codec.frames import FrameTable
 from drivers.can.codec.signals import SignalCodec
-from drivers.port import FloatArray, IntArray
+from drivers.port import BoolArray, FloatArray, IntArray
 
 Switches = tuple[tuple[SignalCodec, tuple[int, ...]], ...]
 """Multiplexers that must show one of some numbers, (codec, numbers) each."""
@@ -36,7 +35,7 @@ class Page:
     columns: IntArray
     switches: Switches
 
-    def shown(self, table: FrameTable) -> NDArray[np.bool_]:
+    def shown(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether it carries the page."""
         here = np.ones(len(table), np.bool_)
         for switch, numbers in self.switches:
@@ -65,11 +64,11 @@ class FrameCounter:
         """The samples' counter begins anew after so many."""
         return self.modulus * self.samples if self.of_frames else self.modulus
 
-    def possible(self, table: FrameTable) -> NDArray[np.bool_]:
+    def possible(self, table: FrameTable) -> BoolArray:
         """Tell of each frame whether its counter is one that can be."""
         if self.modulus == 1 << self.codec.length:
             return np.ones(len(table), np.bool_)
-        below: NDArray[np.bool_] = self.codec.bits(table) < np.uint64(self.modulus)
+        below: BoolArray = self.codec.bits(table) < np.uint64(self.modulus)
         return below
 
     def numbers(self, table: FrameTable) -> IntArray:
@@ -81,7 +80,7 @@ class FrameCounter:
         return (first[:, None] + np.arange(self.samples)).reshape(-1) % self.sample_modulus
 
 
-def shows(table: FrameTable, switch: SignalCodec, numbers: tuple[int, ...]) -> NDArray[np.bool_]:
+def shows(table: FrameTable, switch: SignalCodec, numbers: tuple[int, ...]) -> BoolArray:
     """Tell of each frame whether a multiplexer shows one of these numbers."""
     return np.isin(switch.bits(table), np.array(numbers, np.uint64))
 

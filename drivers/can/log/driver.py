@@ -14,8 +14,7 @@ from drivers.can.codec.frames import Frames, frames_of
 from drivers.can.codec.layout import FrameKeys
 from drivers.can.codec.python_can import import_lean, import_measurements
 from drivers.can.driver import DbcDriver
-from drivers.can.log.channels import channel_of, shown
-from drivers.can.log.interfaces import wire_of
+from drivers.can.log.interfaces import channel_of, shown, wire_of
 from drivers.can.log.text import candump_block
 from drivers.can.log.unmatched import UnmatchedFrames
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock

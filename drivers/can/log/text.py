@@ -7,7 +7,6 @@ A line of a shape that is not known here, and one that turns out to be wrong, is
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.can.codec.frames import (
     EXTENDED,
@@ -22,7 +21,7 @@ from drivers.can.codec.frames import (
     candump_row,
 )
 from drivers.fields import ByteArray
-from drivers.port import IntArray
+from drivers.port import BoolArray, IntArray
 
 _NEWLINE, _SPACE, _HASH, _OPEN, _CLOSE, _POINT = b"\n #()."
 _FEW_OF_A_SHAPE = 8
@@ -82,7 +81,7 @@ def candump_block(text: bytes, wire: bytes | None = None) -> tuple[Frames, list[
     return (Frames(table, t_ns) if read.all() else Frames(table[read], t_ns[read])), bad
 
 
-def _named(lines: _Lines, wire: bytes) -> NDArray[np.bool_]:
+def _named(lines: _Lines, wire: bytes) -> BoolArray:
     """Tell of each line that is a frame whether it names an interface."""
     begin = lines.close + 1
     padded = np.append(lines.text, np.zeros(len(wire) + 3, np.uint8))
@@ -95,9 +94,7 @@ def _named(lines: _Lines, wire: bytes) -> NDArray[np.bool_]:
     return same
 
 
-def _read_alone(
-    text: bytes, lines: "_Lines", into: tuple[FrameTable, IntArray, NDArray[np.bool_]]
-) -> list[int]:
+def _read_alone(text: bytes, lines: "_Lines", into: tuple[FrameTable, IntArray, BoolArray]) -> list[int]:
     """Read one by one the lines whose shape is seldom; return the places of those that are no frame."""
     table, t_ns, read = into
     bad = []
@@ -160,9 +157,9 @@ class _Shape:
             and self.name_end > self.close + 2
         )
 
-    def marked(self, cells: ByteArray) -> NDArray[np.bool_]:
+    def marked(self, cells: ByteArray) -> BoolArray:
         """Tell of each line whether brackets, point, spaces and signs stand where the first line has them."""
-        right: NDArray[np.bool_] = (cells[:, 0] == _OPEN) & (cells[:, self.point] == _POINT)
+        right: BoolArray = (cells[:, 0] == _OPEN) & (cells[:, self.point] == _POINT)
         right &= (cells[:, self.close] == _CLOSE) & (cells[:, self.close + 1] == _SPACE)
         right &= (cells[:, self.name_end] == _SPACE) & (cells[:, self.sign] == _HASH)
         right &= _each(cells[:, self.close + 2 : self.name_end] > _SPACE)
@@ -174,7 +171,7 @@ class _Shape:
             )
         return right
 
-    def in_digits(self, digits: ByteArray) -> NDArray[np.bool_]:
+    def in_digits(self, digits: ByteArray) -> BoolArray:
         """Tell of each line if seconds, their parts, identifier, flags and data are digits of their kind."""
         right = _each(digits[:, 1 : self.point] < 10)
         right &= _each(digits[:, self.point + 1 : self.close] < 10)
@@ -183,7 +180,7 @@ class _Shape:
         return right
 
 
-def _each(right: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _each(right: BoolArray) -> BoolArray:
     """Tell of each row whether all of it is right; mostly everything is, and to see that costs a tenth."""
     return np.ones(len(right), np.bool_) if right.all() else np.asarray(right.all(axis=1))
 
@@ -201,7 +198,7 @@ def _shape(line: ByteArray, close: int, sign: int) -> _Shape:
 
 
 def _read_shape(
-    lines: _Lines, rows: IntArray | None, first: int, into: tuple[FrameTable, IntArray, NDArray[np.bool_]]
+    lines: _Lines, rows: IntArray | None, first: int, into: tuple[FrameTable, IntArray, BoolArray]
 ) -> None:
     """Read lines, all or some, that are like the first one of them, and mark those that were."""
     table, t_ns, read = into

@@ -7,18 +7,15 @@ from typing import Any
 from drivers.can.driver import CanSettings
 from sim_bus.clock import PlayClock
 from sim_bus.devices import guard
-from sim_bus.devices.can.kernel import KernelFrames, KernelOutlet
+from sim_bus.devices.can.kernel import FrameOutlet, KernelFrames, KernelOutlet, VirtualOutlet
 from sim_bus.devices.can.packing import Packing, load_database
 from sim_bus.devices.can.slcan import SlcanDevice, SlcanText
 from sim_bus.devices.can.socketcand import ADAPTERS_REPORT, Endpoint, FrameText, SocketcandDevice
-from sim_bus.devices.can.virtual import VirtualOutlet
 from sim_bus.devices.device import Bench, Device
 from sim_bus.devices.pty_line import PtyLine
 from sim_bus.devices.stream import Stream
-from sim_bus.devices.wire import Feed
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.fault_names import FRAMES
-from sim_bus.rig.faults import LineFaults
 
 _STOP_S = 5.0
 
@@ -26,7 +23,7 @@ _STOP_S = 5.0
 class BusDevice(Device):
     """One source on a CAN interface of the kernel or a virtual bus; a thread sends at the samples' times."""
 
-    def __init__(self, clock: PlayClock, stream: Stream, outlet: KernelOutlet | VirtualOutlet) -> None:
+    def __init__(self, clock: PlayClock, stream: Stream, outlet: FrameOutlet) -> None:
         super().__init__(clock)
         self._stream = stream
         self._outlet = outlet
@@ -63,15 +60,14 @@ class BusDevice(Device):
 def make_stream(bench: Bench, number: int) -> Stream:
     """Return what a source sends on a socketcand daemon."""
     keys = bench.settings(CanSettings, number)
-    source = bench.source(number)
     packing = _packing(bench, number, keys)
     faults = bench.faults(number, text=True)
     text = FrameText(packing.kinds, bench.clock_of(number))
     faults.strange = text.strange
     faults.refuse(ADAPTERS_REPORT, "a daemon does not pass it on; play an adapter (slcan)")
-    _refuse_checksum(faults, keys)
-    feed = Feed(bench.trajectory_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
-    return Stream(source.name, feed, bench.clock_of(number), text, faults)
+    if keys.checksum is None:
+        faults.refuse(("checksum",), "the source's frames have none; give the source a checksum")
+    return bench.stream(number, packing.numbers, packing.pack, text, faults)
 
 
 def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
@@ -85,7 +81,6 @@ def _packing(bench: Bench, number: int, keys: CanSettings) -> Packing:
 
 def _bus_device(bench: Bench, number: int, keys: CanSettings) -> Device:
     guard.virtual_can(keys.interface, keys.channel, f"source[{number}].channel")
-    source = bench.source(number)
     packing = _packing(bench, number, keys)
     faults = bench.faults(number)
     faults.refuse(
@@ -93,8 +88,7 @@ def _bus_device(bench: Bench, number: int, keys: CanSettings) -> Device:
         "cannot be caused on the kernel's interface; ip link set it down, or play a socketcand",
     )
     render = KernelFrames(packing.kinds)
-    feed = Feed(bench.trajectory_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
-    stream = Stream(source.name, feed, bench.clock_of(number), render, faults)
+    stream = bench.stream(number, packing.numbers, packing.pack, render, faults)
     outlet = VirtualOutlet if keys.interface == "virtual" else KernelOutlet
     return BusDevice(bench.clock, stream, outlet(keys.channel, render.size))
 
@@ -102,7 +96,6 @@ def _bus_device(bench: Bench, number: int, keys: CanSettings) -> Device:
 def make_adapter_stream(bench: Bench, number: int) -> Stream:
     """Return what a source's adapter sends."""
     keys = bench.settings(CanSettings, number)
-    source = bench.source(number)
     faults = bench.faults(number)
     packing = _packing(bench, number, keys)
     text = SlcanText(packing.kinds, bench.rig.rate_hz(number))
@@ -110,18 +103,7 @@ def make_adapter_stream(bench: Bench, number: int) -> Stream:
     faults.refuse(("checksum",), "cannot be caused behind an adapter; play a socketcand")
     if any(kind.fd for kind in packing.kinds):
         faults.refuse(("remote", "dlc"), "is for classic frames")
-    feed = Feed(bench.trajectory_of(number), bench.rig, source, packing.numbers, packing.pack, faults.strikes)
-    return Stream(source.name, feed, bench.clock_of(number), text, faults)
-
-
-def _refuse_checksum(faults: LineFaults, keys: CanSettings) -> None:
-    if keys.checksum is None:
-        faults.refuse(("checksum",), "the source's frames have none; give the source a checksum")
-
-
-def _adapter(bench: Bench, number: int, keys: CanSettings) -> Device:
-    link = guard.pty_link(keys.channel, bench.rig.folder, f"source[{number}].channel")
-    return SlcanDevice(bench.clock, make_adapter_stream(bench, number), PtyLine(link))
+    return bench.stream(number, packing.numbers, packing.pack, text, faults)
 
 
 def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
@@ -132,7 +114,8 @@ def make_devices(bench: Bench, numbers: Sequence[int]) -> list[Device]:
         keys = bench.settings(CanSettings, number)
         where = f"source[{number}]"
         if keys.interface == "slcan":
-            devices.append(_adapter(bench, number, keys))
+            link = guard.pty_link(keys.channel, bench.rig.folder, f"{where}.channel")
+            devices.append(SlcanDevice(bench.clock, make_adapter_stream(bench, number), PtyLine(link)))
             continue
         if keys.interface != "socketcand":
             devices.append(_bus_device(bench, number, keys))

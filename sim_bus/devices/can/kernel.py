@@ -1,11 +1,16 @@
-"""Frames sent to a CAN interface of the kernel, as the kernel lays them out."""
+"""Frames as the kernel lays them out, sent to one of its CAN interfaces or to python-can's virtual bus."""
 
 import errno
 import socket
 import struct
 import time
+from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
+
+import can
+from can.interfaces.virtual import channels
 
 from sim_bus.devices.can.packing import FrameKind
 from sim_bus.devices.stream import Outlet
@@ -13,6 +18,7 @@ from sim_bus.errors import SimBusError
 
 _EXTENDED = 0x80000000
 _CLASSIC, _FD = 16, 72
+_CAN_HEAD = struct.Struct("=IB3x")
 _LISTENERS = Path("/proc/net/can")
 _REOPEN_S = 0.1
 
@@ -31,28 +37,47 @@ class KernelFrames:
         for kind in self._kinds:
             data, row = row[: kind.size], row[kind.size :]
             number = kind.identifier | (_EXTENDED if kind.extended else 0)
-            frames.append(struct.pack("=IB3x", number, kind.size) + data.ljust(self.size - 8, b"\0"))
+            frames.append(_CAN_HEAD.pack(number, kind.size) + data.ljust(self.size - 8, b"\0"))
         return b"".join(frames)
 
 
-class KernelOutlet(Outlet):
-    """A raw socket on one interface. While the interface is down or gone, frames are lost, as on a wire.
+class FrameOutlet(Outlet):
+    """One end of a bus that takes the kernel's can_frame or canfd_frame.
 
     Args:
-        channel: the interface.
+        channel: the interface, or the bus by its name within the process.
         size: bytes of a frame: 16, or 72 for FD.
     """
 
     limit = 1 << 18
+    interface: ClassVar[str]
 
     def __init__(self, channel: str, size: int) -> None:
         super().__init__()
         self._channel = channel
         self._size = size
-        self._retry_at = 0.0
-        self.bus = f"socketcan {channel}"
+        self.bus = f"{self.interface} {channel}"
         self.not_sent = 0
-        self._socket: socket.socket | None = None
+
+    @abstractmethod
+    def open(self) -> None:
+        """Join the bus. Raises SimBusError where there is none."""
+
+    @abstractmethod
+    def has_listener(self) -> bool:
+        """Tell whether anybody listens."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the bus; harmless when left already."""
+
+
+class KernelOutlet(FrameOutlet):
+    """A raw socket on one interface. While the interface is down or gone, frames are lost, as on a wire."""
+
+    interface = "socketcan"
+    _retry_at = 0.0
+    _socket: socket.socket | None = None
 
     def open(self) -> None:
         """Open the interface; SimBusError when there is none."""
@@ -127,3 +152,36 @@ class KernelOutlet(Outlet):
 
 def _no_can(error: Exception) -> bool:
     return isinstance(error, AttributeError) or getattr(error, "errno", None) == errno.EAFNOSUPPORT
+
+
+class VirtualOutlet(FrameOutlet):
+    """One end of python-can's virtual bus, which reaches the readers of this process and nobody else."""
+
+    interface = "virtual"
+    _bus: can.BusABC | None = None
+
+    def open(self) -> None:
+        """Join the bus; it is there as soon as somebody does."""
+        self._bus = can.Bus(self._channel, "virtual")
+
+    def has_listener(self) -> bool:
+        """Tell whether anybody of this process has joined the bus beside this end."""
+        return len(channels[self._channel]) > 1
+
+    def close(self) -> None:
+        """Leave the bus; harmless when left already."""
+        if self._bus is not None:
+            self._bus.shutdown()
+        self._bus = None
+
+    def _send(self, data: bytes) -> int:
+        frame = data[: self._size]
+        number, size = _CAN_HEAD.unpack_from(frame)
+        is_extended = bool(number & _EXTENDED)
+        message = can.Message(
+            arbitration_id=number & ~_EXTENDED, is_extended_id=is_extended, is_fd=self._size > 16,
+            data=frame[_CAN_HEAD.size : _CAN_HEAD.size + size],
+        )  # fmt: skip
+        if self._bus is not None:
+            self._bus.send(message)
+        return self._size

@@ -61,30 +61,23 @@ class _Handler(ServerRequestHandler):
             self.transport.abort()
 
 
-def _handler(server: ModbusTcpServer | ModbusSerialServer, manners: Manners) -> _Handler:
-    traces = server.trace_packet, server.trace_pdu, server.trace_connect
-    handler = _Handler(server, *traces)  # type: ignore[no-untyped-call]  # the library's has no annotation
-    handler.manners = manners
-    return handler
+class _Mannered:
+    """What makes a server of the library hand out its replies as a device's manners will have them."""
+
+    def __init__(self, manners: Manners, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._manners = manners
+
+    def callback_new_connection(self: Any) -> _Handler:
+        traces = self.trace_packet, self.trace_pdu, self.trace_connect
+        handler = _Handler(self, *traces)  # type: ignore[no-untyped-call]  # the library's has no annotation
+        handler.manners = self._manners
+        return handler
 
 
-class TcpServer(ModbusTcpServer):
+class TcpServer(_Mannered, ModbusTcpServer):
     """Modbus TCP with manners."""
 
-    def __init__(self, manners: Manners, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self._manners = manners
 
-    def callback_new_connection(self) -> _Handler:
-        return _handler(self, self._manners)
-
-
-class SerialServer(ModbusSerialServer):
+class SerialServer(_Mannered, ModbusSerialServer):
     """Modbus RTU with manners."""
-
-    def __init__(self, manners: Manners, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self._manners = manners
-
-    def callback_new_connection(self) -> _Handler:
-        return _handler(self, self._manners)

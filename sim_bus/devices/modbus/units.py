@@ -56,6 +56,11 @@ class Unit(ABC):
         self.clock = clock
         self.requests = 0
         self.lost = Runs()
+        self.set_up()
+
+    @abstractmethod
+    def set_up(self) -> None:
+        """Make what the mode needs. Raises SimUsageError."""
 
     @abstractmethod
     def areas(self) -> Iterable[tuple[int, int]]:
@@ -124,10 +129,8 @@ class Unit(ABC):
 class RingUnit(Unit):
     """mode "ring": an index, and the newest samples in slots."""
 
-    def __init__(
-        self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults
-    ) -> None:
-        super().__init__(source, settings, feed, clock, faults)
+    def set_up(self) -> None:
+        source, settings = self.source, self.settings
         if settings.ring is None or settings.index is None:
             raise SimUsageError(f'source "{source}": mode "ring" needs index and ring')
         index = FieldSpec(name="index", type=settings.index.type)
@@ -136,7 +139,7 @@ class RingUnit(Unit):
         layout = slot_layout(settings.fields, settings.orders)
         self._ring = Ring(settings.ring.address, settings.ring.slots, layout.size // 2, index.modulus)
         self._room = (settings.ring.slots - 1) // 2
-        if clock.fast and self._room < 1:
+        if self.clock.fast and self._room < 1:
             raise SimUsageError(f'source "{source}": --fast needs a ring of 3 slots or more')
         self._written = 0
         self._taken = 0
@@ -193,13 +196,10 @@ class RingUnit(Unit):
 class PollUnit(Unit):
     """mode "poll": each field at an address of its own; a request sees the newest sample."""
 
-    def __init__(
-        self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults
-    ) -> None:
-        super().__init__(source, settings, feed, clock, faults)
-        self._fields = settings.fields
-        self._lowest = min(field.address or 0 for field in settings.fields)
-        self._stride = max(1, round(settings.period_s * clock.sample_rate_hz))
+    def set_up(self) -> None:
+        self._fields = self.settings.fields
+        self._lowest = min(field.address or 0 for field in self._fields)
+        self._stride = max(1, round(self.settings.period_s * self.clock.sample_rate_hz))
         self._shown = -1
 
     def renew(self) -> None:
@@ -227,11 +227,9 @@ class PollUnit(Unit):
 class FifoUnit(Unit):
     """mode "fifo": function 24 takes whole samples from a queue, as many as 31 registers hold."""
 
-    def __init__(
-        self, source: str, settings: ModbusSettings, feed: Feed, clock: PlayClock, faults: LineFaults
-    ) -> None:
-        super().__init__(source, settings, feed, clock, faults)
-        self._batch = FIFO_REGISTERS // (slot_layout(settings.fields, settings.orders).size // 2)
+    def set_up(self) -> None:
+        layout = slot_layout(self.settings.fields, self.settings.orders)
+        self._batch = FIFO_REGISTERS // (layout.size // 2)
         self._next = 0
 
     def areas(self) -> Iterable[tuple[int, int]]:

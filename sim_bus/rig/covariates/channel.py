@@ -2,13 +2,13 @@
 
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from sim_bus.tables import Part
 
 
-class CovariateChannel(BaseModel):
+class CovariateChannel(Part):
     """One covariate: its unit, how a reading is written in it, and what it runs through if stated."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
 
     name: str
     unit: str = ""

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from sim_bus.arrays import FloatArray
 from sim_bus.columns import read_column
 from sim_bus.rig.covariates.channel import CovariateChannel
+from sim_bus.tables import Table
 
 _AHEAD = 256
 """Steps of what is felt that are computed at a time."""
@@ -28,7 +29,7 @@ _NEEDS = {
 }
 
 
-class Covariate(BaseModel):
+class Covariate(Table):
     """One [[covariate]]: what the surroundings do that `channel` reads, in its unit. Several of one add up.
 
     constant: `value`. sine: `value` and a sine of `amplitude` and `period_s`. ramp: from `value` `to` another
@@ -36,8 +37,6 @@ class Covariate(BaseModel):
     straight lines between them, times `gain`, again and again. `noise_sd`: of each reading; the machine feels
     none of it.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     channel: str
     kind: Literal["constant", "sine", "ramp", "recorded"] = "constant"

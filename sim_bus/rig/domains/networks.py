@@ -46,36 +46,30 @@ def motor_values(raw: Raw) -> dict[str, float]:
 
 def motor(_raw: Raw, values: Values) -> Built:
     """Return a winding and a rotor that exchange power by K; the angle stores nothing and follows."""
-    net = _winding(values, "speed", values["J"])
-    net.stores["angle"] = 1.0
-    net.efforts["torque", "shaft"] = {"speed": 1.0}
-    net.readings |= {("speed", "shaft"): {"speed": 1.0}, ("angle", "shaft"): {"angle": 1.0}}
-    net.readings["current", "armature"] = {"current": 1.0}
-    built = net.built()
-    built.F[2, 1] = 1.0
-    return built
+    return _moving(values, "armature", ("J", "torque", "speed", "shaft"), ("angle", "angle"))
 
 
 def voice_coil(_raw: Raw, values: Values) -> Built:
     """Return a winding, what moves, and its place, which the spring pulls back."""
-    net = _winding(values, "velocity", values["m"])
-    net.stores["position"] = 1.0
-    net.efforts["force", "coil"] = {"velocity": 1.0}
-    net.readings |= {("velocity", "coil"): {"velocity": 1.0}, ("displacement", "coil"): {"position": 1.0}}
-    net.readings["current", "winding"] = {"current": 1.0}
-    built = net.built()
-    built.F[2, 1] = 1.0
+    built = _moving(values, "winding", ("m", "force", "velocity", "coil"), ("position", "displacement"))
     built.F[1, 2] = -values["k"] / values["m"]
     return built
 
 
-def _winding(values: Values, mover: str, inertia: float) -> Network:
-    net = Network(stores={"current": values["L"], mover: inertia})
+def _moving(values: Values, winding: str, mover: tuple[str, str, str, str], place: tuple[str, str]) -> Built:
+    """Return a winding, what it moves (inertia, effort, motion, where), and the place with its quantity."""
+    inertia, effort, motion, at = mover
+    state, quantity = place
+    net = Network(stores={"current": values["L"], motion: values[inertia], state: 1.0})
     net.lose(values["R"], {"current": 1.0})
-    net.lose(values["b"], {mover: 1.0})
-    net.exchange(values["K"], "current", mover)
-    net.efforts["voltage", "winding"] = {"current": 1.0}
-    return net
+    net.lose(values["b"], {motion: 1.0})
+    net.exchange(values["K"], "current", motion)
+    net.efforts |= {("voltage", "winding"): {"current": 1.0}, (effort, at): {motion: 1.0}}
+    net.readings |= {(motion, at): {motion: 1.0}, (quantity, at): {state: 1.0}}
+    net.readings["current", winding] = {"current": 1.0}
+    built = net.built()
+    built.F[2, 1] = 1.0
+    return built
 
 
 def thermal_values(raw: Raw) -> dict[str, float]:

@@ -56,7 +56,11 @@ def frame(raw: Raw, values: Values) -> Built:
     nodes = {row["name"]: i for i, row in enumerate(raw["node"])}
     size = 3 * len(nodes)
     at = np.array([row["at"] for row in raw["node"]], dtype=float)
-    held = [np.eye(size)[3 * i + "xyt".index(c)] for i, row in enumerate(raw["node"]) for c in _held(row)]
+    held = [
+        np.eye(size)[3 * i + "xyt".index(c)]
+        for i, row in enumerate(raw["node"])
+        for c in HELD[row.get("support", "free")]
+    ]
     M, K = np.zeros((size, size)), np.zeros((size, size))  # noqa: N806 - letters of the books
     for row in raw["beam"]:
         one, other = (nodes[end] for end in row["between"])
@@ -72,10 +76,6 @@ def frame(raw: Raw, values: Values) -> Built:
     F, inverse, states = swinging(Z.T @ M @ Z, values.get("tau", 0.0) * K, K, names)  # noqa: N806 - a letter
     drives, reads = _places(list(nodes), Z, inverse)
     return Built(states, F, drives, reads)
-
-
-def _held(row: Raw) -> str:
-    return HELD[row.get("support", "free")]
 
 
 def _beam(one: int, other: int, at: FloatArray, size: int) -> tuple[FloatArray, FloatArray, FloatArray]:

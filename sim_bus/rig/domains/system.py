@@ -10,8 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.domains import networks, swinging
-from sim_bus.rig.domains.between import Between, LinearMotion
-from sim_bus.rig.domains.built import Built, Place, Raw, Values
+from sim_bus.rig.domains.built import Between, Built, LinearMotion, Place, Raw, Values
 
 
 class _Kind(NamedTuple):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from agent.alarms.life_cycle import Alarm
-from agent.blocks.advisory.re_alarms import ReAlarms
+from agent.blocks.advisory.alarm_states import ReAlarms
 
 S = 10**9
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.cli.gateway.diag import diag
-from agent.cli.gateway.newest_samples import newest_samples
+from agent.cli.gateway.diag import diag, newest_samples
 from agent.cli.gateway.redaction import Redaction
 from agent.errors import StoreError, UsageError
 from agent.recording import blocks

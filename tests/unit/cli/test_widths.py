@@ -1,6 +1,6 @@
 """Widths of columns on terminals of any width: no word is cut, figures stay whole."""
 
-from agent.cli.terminal.widths import widths
+from agent.cli.terminal.output import widths
 
 ALARMS = [
     ["id", "12"],

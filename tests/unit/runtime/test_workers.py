@@ -186,4 +186,4 @@ def test_how_soon_rows_are_stored_is_as_the_file_says(rig: Callable[..., RigConf
     service = Service([prompt], tmp_path / "x.db", "live")
     (writer,) = service.rig_set.stores.values()
     assert (writer._period, service._round_s) == (0.02, 0.01)
-    assert density_of([prompt, rig("b", 2)])[2] == 0.02
+    assert density_of([prompt, rig("b", 2)]).commit_s == 0.02

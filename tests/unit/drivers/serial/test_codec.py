@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from drivers import crc
 from drivers.fields import FieldSpec, Layout
 from drivers.port import Counts, DriverConfigError
-from drivers.serial.codec import BinaryDecoder
+from drivers.serial.codec import BinaryDecoder, Frame
 from drivers.serial.driver import SerialSettings
 from drivers.serial.text import TextDecoder
 
@@ -29,7 +29,7 @@ def frames(count: int, rng: np.random.Generator, sync: bytes = SYNC) -> list[byt
 def decoder(check: bool = True) -> tuple[BinaryDecoder, Counts]:
     counts = Counts()
     sum_ = crc.by_name("CRC-16/IBM-3740") if check else None
-    return BinaryDecoder(SYNC, LAYOUT, sum_, ("a",), "n", counts), counts
+    return BinaryDecoder(SYNC, Frame(LAYOUT, sum_, ("a",), "n", counts)), counts
 
 
 def numbers(decoder_: BinaryDecoder, pieces: list[bytes]) -> list[int]:

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from drivers import crc
 from drivers.fields import FieldSpec, Layout
 from drivers.port import Counts
+from drivers.serial.codec import Frame
 from drivers.serial.delimited import EndedDecoder
 from drivers.serial.driver import SerialSettings
 from drivers.serial.framing import FRAMINGS
@@ -34,7 +35,7 @@ def coded(name: str, body: bytes) -> bytes:
 def decoder(name: str, check: bool = True) -> tuple[EndedDecoder, Counts]:
     counts = Counts()
     sum_ = crc.by_name("CRC-16/IBM-3740") if check else None
-    return EndedDecoder(FRAMINGS[name], LAYOUT, sum_, ("a",), "n", counts), counts
+    return EndedDecoder(FRAMINGS[name], Frame(LAYOUT, sum_, ("a",), "n", counts)), counts
 
 
 def numbers(decoder_: EndedDecoder, pieces: list[bytes]) -> list[int]:

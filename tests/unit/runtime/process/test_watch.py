@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from agent.runtime.process.heartbeats import Heartbeats, Thread
-from agent.runtime.process.processor import ProcessorWait
 from agent.runtime.process.service_manager import ServiceManager
-from agent.runtime.process.watch import Watch
+from agent.runtime.process.watch import ProcessorWait, Watch
 
 S = 1_000_000_000
 

@@ -152,7 +152,8 @@ def _bytes(config: RigConfig, rig: RigModel) -> int:
 
 def _bound(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     """Yield what is to be warned of where the file cannot be as small as it is to be."""
-    least, most_mb = _bytes(config, rig), config.store.max_mb
+    most_mb = config.store.max_mb
+    least = _bytes(config, rig)
     if least > most_mb * 1e6:
         what = f"{number(most_mb)} MB are less than the newest hour of rows takes"
         what = f"{what}, {least / 1e6:.0f} MB, and it always stays"

@@ -1,6 +1,6 @@
 """`deltak check`: what a configuration can and cannot do, before anything is connected."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import pi
 from pathlib import Path
 from typing import Any, TypeVar
@@ -38,6 +38,7 @@ from agent.runtime.assembly.number_checks import attempted
 from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.sources import wire_steps
 from agent.storage.write.retention import Retention, bytes_per_rig_year
+from agent.text import number
 from agent.types import FloatArray
 from drivers.port import DriverConfigError
 
@@ -149,6 +150,16 @@ def _bytes(config: RigConfig, rig: RigModel) -> int:
     return bytes_per_rig_year(len(rig.parameters), *rows, retention, sources, windows, len(config.covariate))
 
 
+def _bound(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
+    """Yield what is to be warned of where the file cannot be as small as it is to be."""
+    most_mb = config.store.max_mb
+    least = _bytes(config, rig)
+    if least > most_mb * 1e6:
+        what = f"{number(most_mb)} MB are less than the newest hour of rows takes"
+        what = f"{what}, {least / 1e6:.0f} MB, and it always stays"
+        yield Fault("store.max_mb", what, "give it more, or keep fewer rows: store.every_s")
+
+
 def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered: Gathered) -> dict[str, Any]:
     """What only a model without faults has: observer, conditions, the sd to expect, warnings."""
     discrete = sampled(config, rig)
@@ -187,6 +198,7 @@ def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered:
         *unseen,
         *recentring_faults(passes),
         *gathered.warnings,
+        *_bound(config, rig),
         *failed,
     ]
     return found | {"warnings": [_fault(fault) for fault in warned]}

@@ -34,7 +34,7 @@ TABLES: Final = (
     "rig", "model", "channel", "estimator", "alarm", "source", "store", "columns", "forecast", "baseline",
     "metrics", "notify", "north", "agent",
 )  # fmt: skip
-RESERVED: Final = ("http", "mqtt", "security")
+RESERVED: Final = ("http", "mqtt", "security", "serve")
 LATER: Final[Mapping[tuple[str, str], tuple[str, ...]]] = {
     ("estimator", "method"): ("ekf", "ukf", "rls"),
     ("alarm", "kind"): ("sensor", "source", "mismatch"),

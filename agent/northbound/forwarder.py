@@ -141,9 +141,10 @@ class Forwarder:
         heads: how far its database's topics are, if that is known.
         """
         positions = dict(self._positions or {})
+        is_ready = self._peer is not None or self.consumer.is_periodic  # one is not connected between periods
         return {
             "name": self.consumer.name, "kind": self.consumer.kind, "db": str(self._place.db),
-            "state": "failing" if self._failures else "ok" if self._peer is not None else "connecting",
+            "state": "failing" if self._failures else "ok" if is_ready else "connecting",
             "error": self._error, "sent": self.sent, "retries": self.retries,
             "backfill": {topic: position.gap is not None for topic, position in positions.items()},
             "acknowledged": {topic: position.edges[0] for topic, position in positions.items()},

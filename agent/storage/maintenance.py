@@ -145,14 +145,7 @@ def compact(path: Path | str) -> tuple[int, int]:
     Needs as much free space as the file takes. An agent that writes to it is asked to do it.
     Raises StoreError as `Store.open` does.
     """
-    path = checked_path(path)
-    before = path.stat().st_size
-
-    def act(store: Store) -> dict[str, Any]:
-        store.compact()
-        return {"bytes_before": before, "bytes_after": path.stat().st_size}
-
-    answer = through_agent(path, "compact", act)
+    answer = through_agent(checked_path(path), "compact", Store.compact)
     return answer["bytes_before"], answer["bytes_after"]
 
 

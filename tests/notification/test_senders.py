@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from agent.cli.app import app
 from agent.cli.operator import notify
+from agent.cli.terminal.errors import guarded
 from agent.config import load
 from agent.config.reading.secrets import Secret
 from agent.config.sections.results import Notify
@@ -173,14 +175,21 @@ def test_test_message_reaches_every_target_and_says_which_it_does_not(
 ) -> None:
     table = '[[notify]]\nname = "a"\nkind = "command"\ncommand = ["true"]\n'
     configured(tmp_path, table + table.replace('"a"', '"b"').replace("true", "false"))
-    found = notify.test(tmp_path / "rig.toml")
+    config = str(tmp_path / "rig.toml")
+    assert guarded(app, ["notify", "test", config, "--json"]) == 2
+    said = capsys.readouterr()
+    found = json.loads(said.out)
     assert [(one["target"], one["error"]) for one in found["targets"]] == [
         ("a", None),
         ("b", "exit code 1: "),
     ]
     assert not found["ok"]
-    notify.print_tested(found)
-    assert "has the message" in capsys.readouterr().out
+    assert [error["path"] for error in found["errors"]] == ["notify[1]"]
+    assert said.err.startswith('deltak: error: notify[1]: "b" has not got the message: exit code 1')
+    assert guarded(app, ["notify", "test", config]) == 2
+    said = capsys.readouterr()
+    assert "has the message" in said.out
+    assert said.err.startswith("deltak: error: notify[1]: ")
 
 
 def test_notifications_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

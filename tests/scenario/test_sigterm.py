@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.scenario.live import LIMIT_S, wait_until
+from tests.scenario.live import LIMIT_S, example, wait_until
 from tests.sim.rigs import ROOT
 
 pytestmark = pytest.mark.realtime
@@ -70,3 +70,18 @@ def test_demo_that_is_ended_leaves_no_process(number: int, tmp_path: Path) -> No
         process.communicate(timeout=LIMIT_S)
         wait_until(lambda: not any(map(alive, started)), "the end of both")
     assert process.returncode == (0 if number == signal.SIGTERM else -number)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130)])
+def test_reestimation_that_is_ended_while_its_processes_begin_says_so_in_one_line(
+    number: int, code: int, tmp_path: Path
+) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("t,force,x1,x2\n" + "".join(f"{n / 1000:.3f},{n % 7},0,0\n" for n in range(2000)))
+    config = example("modbus", tmp_path)
+    with deltak("reestimate", str(table), "--config", str(config)) as process:
+        wait_until(lambda: len(children(process.pid)) == 2, "what begins processes")
+        process.send_signal(number)
+        _, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == code
+    assert err == ("deltak: ended by SIGTERM\n" if code == 0 else "deltak: interrupted\n")

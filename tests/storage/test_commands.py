@@ -62,6 +62,17 @@ def test_compact_of_a_file_that_nobody_holds_takes_the_lock_itself(path: Path) -
     assert not beside(path, ".sock").exists()
 
 
+def test_compact_counts_what_stood_in_the_log_only_among_the_bytes_before(
+    path: Path, agent: StoreWriter
+) -> None:
+    maintenance.compact(path)
+    agent.publish([batch(2000, first=3 * 10**6)])  # less than is moved into the file by itself
+    assert agent.flush(20)
+    before, after = maintenance.compact(path)
+    assert after <= before
+    assert maintenance.compact(path) == (after, after)
+
+
 def test_compact_of_a_file_that_a_replay_holds_is_refused(path: Path) -> None:
     with Store.open(path):
         before = path.read_bytes()

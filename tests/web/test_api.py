@@ -145,7 +145,7 @@ def test_every_answer_confines_the_page(client: Client, path: str) -> None:
         ("/api/v1/alarms?what=1", 400, "it takes db, rig, active"),
         ("/api/v1/alarms?rig=press-9", 400, "rigs are press-7, press-8"),
         ("/api/v1/alarms?db=other", 400, "databases are rig"),
-        ("/api/v1/estimates?since=soon", 400, "is no time"),
+        ("/api/v1/estimates?since=soon", 400, '"path":"since","message":"\\"soon\\" is no time"'),
         ("/api/v1/points?rig=press-7&parameter=k9", 400, "parameters are k1"),
         ("/api/v1/points?rig=press-7", 400, "is needed"),
         ("/api/v1/points?rig=press-7&parameter=k1&points=0", 400, "not within 1"),

@@ -149,11 +149,12 @@ def notify_resend(
 def notify_test(config: Config, json: Json = False) -> None:
     """Send a test message to each target of a configuration."""
     from agent.cli.operator import notify as body
+    from agent.cli.terminal.errors import report_errors
 
     document = body.test(config)
     answer(document, body.print_tested, as_json=json)
     if not document["ok"]:
-        raise typer.Exit(2)
+        raise typer.Exit(report_errors(document))
 
 
 def _operate(

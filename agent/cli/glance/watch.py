@@ -1,5 +1,6 @@
 """`deltak watch`: the state of rigs in a terminal, read anew every second until q is pressed."""
 
+import os
 import select
 import sys
 import termios
@@ -76,8 +77,10 @@ def _clock() -> str:
 
 def _pressed(seconds: float) -> str:
     """Return the key pressed within so many seconds; "" for none, end of input for a lost terminal."""
-    ready, _, _ = select.select([sys.stdin], [], [], seconds)
-    return (sys.stdin.read(1) or "\x04") if ready else ""
+    terminal = sys.stdin.fileno()
+    ready, _, _ = select.select([terminal], [], [], seconds)
+    # not of sys.stdin, which would take what was typed behind it along, unseen by the next select
+    return (os.read(terminal, 1).decode("ascii", "replace") or "\x04") if ready else ""
 
 
 @contextmanager

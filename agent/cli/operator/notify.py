@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from agent.cli.terminal.output import print_rows, print_table, show
+from agent.cli.terminal.output import fault_document, print_rows, print_table, show
 from agent.clock import wall_ns
 from agent.config import RigConfig, load
 from agent.config.sections.results import Notify
-from agent.errors import UsageError
+from agent.errors import Fault, UsageError
 from agent.notification.message import Message, message_of
 from agent.notification.senders import SendError, send
 from agent.storage import operations
@@ -16,6 +16,7 @@ from agent.storage.maintenance import reported
 from agent.storage.read import queries
 from agent.text import short_time
 
+_LOOK: Final = "see that the target can be reached, and its secrets"
 COLUMNS: Final = ("id", "alarm_event_id", "target", "state", "attempts", "last_error", "done_at")
 
 
@@ -54,7 +55,14 @@ def test(config: Path) -> dict[str, Any]:
     if not rig.notify:
         raise UsageError.at("notify", f"{config} has no [[notify]]", "add one for each target")
     found = list(_tested(rig))
-    return {"targets": found, "ok": all(one["error"] is None for one in found)}
+    errors = [
+        fault_document(
+            Fault(f"notify[{place}]", f'"{one["target"]}" has not got the message: {one["error"]}', _LOOK)
+        )
+        for place, one in enumerate(found)
+        if one["error"] is not None
+    ]
+    return {"targets": found, "ok": not errors, "errors": errors}
 
 
 def _tested(rig: RigConfig) -> Iterator[dict[str, Any]]:

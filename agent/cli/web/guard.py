@@ -41,7 +41,10 @@ def refusal(status: int, path: str, message: str, advice: str = "") -> Response:
 def of_error(error: AgentError) -> Response:
     """Return the answer to what cannot be done: 400 for nonsense, 409 for what the database refuses."""
     status = 400 if isinstance(error, UsageError) else 409 if isinstance(error, StoreError) else 500
-    return document(status, {"errors": [fault_document(fault) for fault in error.faults]})
+    errors = [fault_document(fault) for fault in error.faults]
+    # by the names of the address, not those of the command line's options
+    named = [{**one, "path": one["path"].removeprefix("--")} for one in errors]
+    return document(status, {"errors": named})
 
 
 class Guard:

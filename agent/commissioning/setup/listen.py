@@ -4,6 +4,7 @@ Frames, lines and registers are those that the drivers themselves read; nothing 
 needs.
 """
 
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +23,7 @@ from agent.config.model.tables import Channel
 from agent.config.sections.covariates import Covariate
 from agent.config.tables import Source
 from agent.errors import BusError, Fault
+from agent.runtime.process.requests import asked_by
 from agent.runtime.sources import Arrival, Connection, Use, connect, part
 from agent.text import printable
 from agent.types import FloatArray
@@ -59,7 +61,7 @@ Say = Callable[[Line], None]
 
 
 def listen(config: Path, duration_s: float | None, say: Say) -> dict[str, Any]:
-    """Listen for the duration or until Ctrl-C; say each line, and return rates, ledger and the newest lines.
+    """Listen for the duration or until a signal; say each line; return rates, ledger and the newest lines.
 
     Raises ConfigError, UsageError without sources, BusError where a source could not be opened and nothing
     came.
@@ -69,8 +71,10 @@ def listen(config: Path, duration_s: float | None, say: Say) -> dict[str, Any]:
     watch = _Watch.of(rig, say)
     interrupted = False
     try:
-        watch.start()
-        watch.run(duration_s)
+        with asked_by(signal.SIGTERM, "stop") as stop:
+            stop.begin(watch.end)
+            watch.start()
+            watch.run(duration_s)
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -112,6 +116,7 @@ class _Watch:
     ears: list[_Ear]
     say: Say
     began_ns: int = 0
+    over: bool = False
     lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT))
     lost: dict[str, str] = field(default_factory=dict)
     seen: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -146,10 +151,15 @@ class _Watch:
     def run(self, duration_s: float | None) -> None:
         """Show what arrives until the end, or until no source is tried any more."""
         until = float("inf") if duration_s is None else duration_s
-        while self._now() < until and any(ear.connection.is_alive() for ear in self.ears):
+        while not self.over and self._now() < until and any(ear.connection.is_alive() for ear in self.ears):
             self.wake.wait(min(TURN_S, max(until - self._now(), 0.0)))
             self.wake.clear()
             self._take()
+
+    def end(self) -> None:
+        """Have it end before its time."""
+        self.over = True
+        self.wake.set()
 
     def _now(self) -> float:
         return (monotonic_ns() - self.began_ns) / 1e9

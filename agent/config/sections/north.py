@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, Strict
+from pydantic import Field, Strict, field_validator
 
 from agent.config.reading.fields import Duration, FilePath, Name, Names, Positive, Table, Text
 from agent.config.reading.secrets import Secret
@@ -39,6 +39,13 @@ class North(Table):
     primary_host: Text | None = None
     folder: FilePath | None = None
     every: Duration = 86400.0
+
+    @field_validator("kind", mode="before")
+    @classmethod
+    def _is_in_this_version(cls, kind: object) -> object:
+        if kind == "opcua":
+            raise ValueError("is not in this version; deltak opcua serves it")
+        return kind
 
     @property
     def is_periodic(self) -> bool:

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Protocol
 
 from agent import __version__
@@ -45,7 +45,7 @@ class Pool(Protocol):
 
 
 class LocalPool:
-    """Processes of this machine.
+    """Processes of this machine, begun by a thread: a signal that ends the command leaves none half begun.
 
     Args:
         size: how many; None for one a core.
@@ -55,6 +55,7 @@ class LocalPool:
 
     def __init__(self, size: int | None = None) -> None:
         self.size = size or len(os.sched_getaffinity(0))
+        self._beginner = ThreadPoolExecutor(1)
         self._executor: Executor = self._made()
 
     def _made(self) -> ProcessPoolExecutor:
@@ -64,13 +65,14 @@ class LocalPool:
         return ProcessPoolExecutor(self.size, context, initializer=_begun)
 
     def submit(self, act: Compute, *values: object) -> Future[Any]:
-        return self._executor.submit(act, *values)
+        return self._beginner.submit(self._executor.submit, act, *values).result()
 
     def renew(self) -> None:
         self._executor.shutdown(wait=True)
         self._executor = self._made()
 
     def close(self) -> None:
+        self._beginner.shutdown(wait=True)
         self._executor.shutdown(wait=True, cancel_futures=True)
 
 

@@ -61,18 +61,12 @@ def serve(path: Path, jobs: JobQueue, listeners: Listeners, handlers: Mapping[st
         return {"notifications": sent}
 
     own = {
-        "alarm": alarm, "baseline": baselines, "compact": through(_compact), "repair": through(_repair),
+        "alarm": alarm, "baseline": baselines, "compact": through(Store.compact), "repair": through(_repair),
         "resend": again,
     }  # fmt: skip
     server = CommandServer(path, {**own, **handlers})
     server.start()
     return server
-
-
-def _compact(store: Store) -> Mapping[str, int]:
-    before = store.path.stat().st_size
-    store.compact()
-    return {"bytes_before": before, "bytes_after": store.path.stat().st_size}
 
 
 def _repair(store: Store) -> Mapping[str, Any]:

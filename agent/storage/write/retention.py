@@ -85,6 +85,8 @@ def bytes_per_rig_year(
 ) -> int:  # fmt: skip
     """Return the size of the file after a year without alarms, as measured on files of this version.
 
+    Rows go by the hour, and the newest hour of a rig stays whatever the bounds.
+
     Args:
         parameters: estimated parameters.
         every_s: the [store] key; 0 keeps every hop.
@@ -96,7 +98,7 @@ def bytes_per_rig_year(
     """
     period = max(every_s, hop_s)
     rows = [
-        min(keep.full_s, _YEAR_S) / period,
+        min(max(keep.full_s, HOUR), _YEAR_S) / period,
         min(keep.minute_s, _YEAR_S) / MINUTE,
         min(keep.hour_s, _YEAR_S) / HOUR,
     ]
@@ -104,9 +106,8 @@ def bytes_per_rig_year(
     sizes = [_HOP_BYTES + parameters * windows * _CELL_BYTES, coarse, coarse]
     health = sources * (min(keep.full_s, _YEAR_S) / 10 + _YEAR_S / HOUR) * _HEALTH_BYTES
     beside = covariates * (rows[1] + rows[2]) * _COVARIATE_BYTES
-    return ceil(
-        min(keep.max_bytes, health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True)))
-    )
+    year = health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True))
+    return ceil(max(HOUR / period * sizes[0], min(keep.max_bytes, year)))
 
 
 @dataclass(slots=True)

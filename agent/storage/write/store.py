@@ -394,12 +394,18 @@ class Store:
                 self._tiers.make_room()
                 self.checkpoint("TRUNCATE")
 
-    def compact(self) -> None:
-        """Give free pages back to the disk; needs room for a copy, and no other transaction meanwhile."""
+    def compact(self) -> dict[str, int]:
+        """Give free pages back to the disk; returns the file's bytes, its log taken in, before and after.
+
+        Needs room for a copy, and no other transaction meanwhile.
+        """
         with self._mutex:
+            self.checkpoint("TRUNCATE")
+            before = self.path.stat().st_size
             if not self._finished(lambda: compact(self.connection, self.path, lambda: self.hurried)):
                 raise StoreError.at(self.path, "its agent is ending", "ask again when it has ended")
             self.checkpoint("TRUNCATE")
+            return {"bytes_before": before, "bytes_after": self.path.stat().st_size}
 
     def maintain(self, *, finish: bool = False) -> None:
         """Make the minutes and hours due and purge what is too old or too much; cheap when nothing is due."""

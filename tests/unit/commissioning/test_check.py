@@ -149,6 +149,13 @@ def test_check_warns_of_a_window_shorter_than_a_period(tmp_path: Path) -> None:
     assert warned(longer, "estimator") == []
 
 
+def test_check_warns_of_a_bound_that_the_newest_hour_of_rows_exceeds(tmp_path: Path) -> None:
+    assert warned(checked(edited(tmp_path, ("every_s = 0", "every_s = 1.0\nmax_mb = 1"))), "store") == []
+    document = checked(edited(tmp_path, ("every_s = 0", "every_s = 0\nmax_mb = 0.3")))
+    assert "17 MB, and it always stays" in warned(document, "store")[0]
+    assert document["bytes_per_rig_year"] > 16e6
+
+
 def test_check_warns_of_a_mass_that_nothing_holds(tmp_path: Path) -> None:
     text = example("modbus", tmp_path).read_text(encoding="utf-8")
     for name in ("k1", "B1"):

@@ -171,18 +171,19 @@ def test_listen_on_each_bus_shows_units_and_the_bytes_of_what_is_rejected(
     assert bytes_shown in source["first_rejected"][reason]
 
 
-def test_listen_ends_with_ctrl_c_and_tells_what_it_saw(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
+def test_listen_ends_with_a_signal_and_tells_what_it_saw(tmp_path: Path, number: int, code: int) -> None:
     with line(tmp_path, b"N,1.5\n") as config:
         command = [sys.executable, "-m", "agent", "listen", config]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, stderr=subprocess.PIPE) as process:
             assert process.stdout is not None
             first = process.stdout.readline()
             time.sleep(0.2)
-            process.send_signal(signal.SIGINT)
+            process.send_signal(number)
             out, _ = process.communicate(timeout=30)
     assert "x1 3 mm" in first
     assert "samples a second" in out
-    assert process.returncode == 130
+    assert process.returncode == code
 
 
 def test_listen_where_nothing_can_be_opened_says_so(

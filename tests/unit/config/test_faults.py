@@ -33,6 +33,8 @@ PRESS_TABLE = [
     ("[store]", "[http]\nport = 80\n[store]", "http", "not in this version"),
     ("[store]", "[mqtt]\n[store]", "mqtt", "not in this version"),
     ("[store]", "[security]\n[store]", "security", "not in this version"),
+    ("[store]", "[serve]\nport = 80\n[store]", "serve", "not in this version"),
+    ("[store]", '[[north]]\nname = "a"\nkind = "opcua"\n[store]', "north[0].kind", "not in this version"),
     ("[[alarm]]", "[alarm]", "alarm", "must be a list of tables, not a table; write [[alarm]]"),
     ("[store]", "[store]\npassword = 'x'", "store.password", "secret"),
     # numbers that squares and products take out of the floating-point numbers

@@ -70,7 +70,7 @@ def fleet(
         list[str],
         typer.Argument(
             metavar="[learn] DB|FOLDER|URL|TABLE...",
-            help="Databases, folders of them, Parquet archives, postgresql://USER@HOST/NAME#PREFIX.",
+            help="Databases, tables, folders of them, Parquet archives, postgresql://USER@HOST/NAME#PREFIX.",
         ),
     ],
     within: Annotated[

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from agent.runtime.forwarded.archive import ParquetHistories, is_archive
 from agent.runtime.forwarded.postgres import PostgresHistories, is_address
 from agent.storage.read import baselines, queries
 from agent.storage.read.points import Points, all_points, longest_window
+from agent.storage.read.tables import is_table, table_points
 from agent.text import ahead, number, short_time
 
 Document = Mapping[str, Any]
@@ -34,29 +36,33 @@ MOST_ROWS = 1500
 def fleet(
     places: Sequence[Path | str], within: str, parameter: str | None, limit_percent: float
 ) -> dict[str, Any]:
-    """Return a row for each rig and parameter of databases, archives and servers.
+    """Return a row for each rig and parameter of databases, tables, archives and servers.
 
     Raises StoreError; UsageError for no place, or one that cannot be read.
     """
     horizon = horizon_days(within, "--within")
     rows = [
         _row(part, horizon, limit_percent) | {"covariates": list(part.covariates), "record": part.record}
-        for part in _parts(places, parameter)
+        for place in places
+        for part in _parts(place, parameter)
     ]
     rows.sort(key=lambda row: (-(row["chance"] or 0.0), -abs(row["slope_percent_per_year"] or 0.0)))
     return {"rows": rows, "within_s": horizon * 86_400.0 if horizon is not None else None}
 
 
-def databases(files: Sequence[Path]) -> list[Path]:
-    """Return the databases meant, a folder's in alphabetical order. Raises UsageError where there is none."""
-    found: list[Path] = []
-    for path in files:
-        found += sorted(path.glob("*.db")) if path.is_dir() else [path]
+def histories_in(place: Path) -> list[Path]:
+    """Return a file, or a folder's databases, or where it has none its tables, in alphabetical order.
+
+    Raises UsageError for a folder without either.
+    """
+    if not place.is_dir():
+        return [place]
+    found = sorted(place.glob("*.db")) or sorted(filter(is_table, place.iterdir()))
     if not found:
         raise UsageError.at(
             "DB",
-            f"no .db file in {', '.join(map(str, files))}",
-            "name databases, folders of them, Parquet archives, or postgresql://...",
+            f"no .db file and no table in {place}",
+            "name databases, tables, folders of them, Parquet archives, or postgresql://...",
         )
     return found
 
@@ -74,19 +80,21 @@ class _Part(NamedTuple):
     covariates: tuple[str, ...] = ()
 
 
-def _parts(places: Sequence[Path | str], parameter: str | None) -> Iterator[_Part]:
-    """Yield what is shown of one parameter or all, place after place."""
-    files: list[Path] = []
-    for place in places:
-        if isinstance(place, str) and is_address(place):
-            yield from _forwarded(PostgresHistories(place), parameter)
-        elif is_archive(Path(place)):
-            yield from _forwarded(ParquetHistories(Path(place)), parameter)
-        else:
-            files.append(Path(place))
-    if files:
-        for path in databases(files):
-            yield from _stored(path, parameter)
+def _parts(place: Path | str, parameter: str | None) -> Iterator[_Part]:
+    """Yield what is shown of one parameter or all of a place."""
+    if isinstance(place, str) and is_address(place):
+        yield from _forwarded(PostgresHistories(place), parameter)
+    elif is_archive(Path(place)):
+        yield from _forwarded(ParquetHistories(Path(place)), parameter)
+    else:
+        for path in histories_in(Path(place)):
+            yield from _of_table(path, parameter) if is_table(path) else _stored(path, parameter)
+
+
+def _of_table(path: Path, parameter: str | None) -> Iterator[_Part]:
+    """Yield the one part of a table; nobody made forecasts of it."""
+    points, _ = table_points(path, parameter=parameter)
+    yield _Part(replace(points, parameter=parameter or points.parameter), 0.0, None, None)
 
 
 def _stored(path: Path, parameter: str | None) -> Iterator[_Part]:
@@ -129,7 +137,7 @@ def _row(part: _Part, horizon: float | None, limit_percent: float) -> dict[str, 
     asked = change(without(history, events(find_steps(history))))
     reference = points.reference if points.reference is not None else _first(points)
     if asked is None or reference is None:
-        return row
+        return row | {"status": "too short"}
     row["limit"] = limit = _limit(asked, reference, part.limit, limit_percent)
     if not asked.trend:
         return row
@@ -178,7 +186,7 @@ def learn_prior(
         raise UsageError.at("--to", "is needed with learn", "name the file to write the prior to")
     if limit is not None and not math.isfinite(limit):
         raise UsageError.at("--limit", f"must be a number, not {limit:g}", "give a value of the parameter")
-    paths = [path for file in files for path in (databases([file]) if file.is_dir() else [file])]
+    paths = [path for file in files for path in histories_in(file)]
     learnt = like_machines(paths, parameter, limit, "DB")
     if learnt is None:
         raise UsageError.at("DB", "learn names no file", "name databases or tables of like machines")

@@ -181,8 +181,9 @@ def _sentences(found: Document) -> str:
         f"{found['n_disjoint']} of them share no samples"
     )
     if found["backward"]:
+        stand = "row stands" if found["backward"] == 1 else "rows stand"
         lines.append(
-            f"{found['backward']} rows stand before an earlier one, as after a step of a clock; put in order"
+            f"{found['backward']} {stand} before an earlier one, as after a step of a clock; put in order"
         )
     lines += _remarks(found)
     if found["slope_lower"] is None:

@@ -223,8 +223,26 @@ def test_fleet_takes_out_what_a_covariate_does(tmp_path: Path, rng: np.random.Ge
     assert (row["trend"], row["status"]) == (False, "no trend")
 
 
+def test_fleet_reads_tables_and_folders_of_them(tmp_path: Path, rng: np.random.Generator) -> None:
+    falls = table(tmp_path / "falls.csv", falling(rng))
+    level = table(tmp_path / "level.csv", 25.0 + 0.05 * rng.standard_normal(120))
+    for places in ([falls, level], [tmp_path]):
+        first, second = fleet(places, "90d", None, 20.0)["rows"]
+        assert (first["rig"], first["trend"], second["rig"], second["trend"]) == (
+            "falls",
+            True,
+            "level",
+            False,
+        )
+        assert first["p50_at"] is not None
+        assert first["limit"] == pytest.approx(20.0, abs=0.2)
+    assert fleet([falls], "90d", "k1", 20.0)["rows"][0]["parameter"] == "k1"
+    (short,) = fleet([table(tmp_path / "short.csv", np.array([25.0]))], "90d", None, 20.0)["rows"]
+    assert (short["status"], short["chance"]) == ("too short", None)
+
+
 def test_fleet_of_an_empty_folder_says_so(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"no \.db file"):
+    with pytest.raises(UsageError, match=r"no \.db file and no table"):
         fleet([tmp_path], "90d", None, 20.0)
 
 

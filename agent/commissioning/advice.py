@@ -59,11 +59,11 @@ def _modes(config: RigConfig, rig: RigModel) -> list[complex]:
 def _windows(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
     rate = config.rig.sample_rate_hz
     frequencies = [pole.imag / (2 * pi) for pole in _modes(config, rig)]
-    shortest = windows(config)[0] / rate
+    longest = windows(config)[-1] / rate
     slowest = min(frequencies, default=inf)
     fastest = max(frequencies, default=0.0)
-    if shortest * slowest < 1:
-        what = f"{shortest:g} s is shorter than a period of the slowest mode, {1 / slowest:.3g} s"
+    if longest * slowest < 1:
+        what = f"{longest:g} s is shorter than a period of the slowest mode, {1 / slowest:.3g} s"
         yield Fault(
             "estimator.window_s", what, "a longer window tells far more of the parameters behind that mode"
         )
@@ -83,25 +83,24 @@ def _windows(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
 def _predicted(
     config: RigConfig, rig: RigModel, predicted: Sequence[Prediction], recorded: Recorded | None
 ) -> Iterator[Fault]:
-    """Warn where the sd to expect is above what can be judged, with the window or force that mends it."""
+    """Warn where no window is expected to tell a parameter well enough, with what would mend it."""
     rate = config.rig.sample_rate_hz
-    for prediction in predicted:
-        for parameter, sd, limit in zip(
-            rig.parameters, prediction.sd.tolist(), rig.limits.tolist(), strict=True
-        ):
-            enough = config.estimator.resolve * limit
-            if limit > 0 and isfinite(sd) and sd > enough:
-                window_s = prediction.window / rate
-                what = (
-                    f"{window_s:g} s tell {parameter.name} to ± {sd:.2g}{behind(parameter.unit)}, more than "
-                )
-                what += f"resolve x limit = {enough:.2g} ({prediction.assumes})"
-                yield Fault("estimator.window_s", what, _remedy(config, sd / enough, window_s))
-        if not np.all(np.isfinite(prediction.sd)) and recorded is not None:
-            what = (
-                f"{recorded.name} has no uninterrupted {prediction.window / rate:g} s, or no motion in them"
-            )
-            yield Fault("estimator.window_s", what, "give a longer recording")
+    if not predicted:
+        return
+    sds = np.array([prediction.sd for prediction in predicted])
+    best = np.argmin(np.where(np.isfinite(sds), sds, inf), axis=0)
+    for i, (parameter, limit) in enumerate(zip(rig.parameters, rig.limits.tolist(), strict=True)):
+        prediction = predicted[best[i]]
+        sd = float(prediction.sd[i])
+        enough = config.estimator.resolve * limit
+        if limit > 0 and isfinite(sd) and sd > enough:
+            window_s = prediction.window / rate
+            what = f"{window_s:g} s tell {parameter.name} to ± {sd:.2g}{behind(parameter.unit)}, more than "
+            what += f"resolve x limit = {enough:.2g} ({prediction.assumes})"
+            yield Fault("estimator.window_s", what, _remedy(config, sd / enough, window_s))
+    if recorded is not None and not np.isfinite(sds).all(axis=1).any():
+        what = f"{recorded.name} has no uninterrupted {predicted[0].window / rate:g} s, or no motion in them"
+        yield Fault("estimator.window_s", what, "give a longer recording")
 
 
 def _remedy(config: RigConfig, factor: float, window_s: float) -> str:

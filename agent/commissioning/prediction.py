@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.blocks.friction import friction_inputs, signals
-from agent.blocks.rig_model import RigModel, hop_plan, output_noise
+from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, output_noise
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.limits import (
     DECAY_FROM,
@@ -68,9 +68,9 @@ def sampled(config: RigConfig, rig: RigModel) -> Discrete:
 
 
 def windows(config: RigConfig) -> list[int]:
-    """Return the lengths of a rig's windows, samples."""
-    rate = config.rig.sample_rate_hz
-    return [max(1, round(w * rate)) for w in config.estimator.windows_s] or [hop_plan(config).window]
+    """Return the lengths of a rig's windows, samples, shortest first, as the estimator takes them."""
+    plan = hop_plan(config)
+    return [plan.window, *longer_windows(config, plan)]
 
 
 def predictions(

@@ -79,14 +79,15 @@ class _Look:
 def left_open(
     config: RigConfig, rig: RigModel, resolution: FloatArray, recorded: Recorded | None
 ) -> list[Fault]:
-    """Say each change that the longest window of a recording cannot tell, and which output would help."""
+    """Say each change that the longest window which a recording has cannot tell, and what would help."""
     if recorded is None or not rig.parameters:
         return []
     excitation = recorded_excitation(sampled(config, rig), recorded)
     sigma, _ = expected_noise(config, resolution, excitation, recorded)
-    look = _Look(config, excitation, max(windows(config)), _sizes(rig))
-    if not len(excitation.starts(look.length)):
+    there = [length for length in windows(config) if len(excitation.starts(length))]
+    if not there:
         return []
+    look = _Look(config, excitation, max(there), _sizes(rig))
     weak = look.weak(rig.model, sigma)
     more = [
         name
@@ -144,12 +145,13 @@ def paper_conditions(
 
     The observer of `gain` (n, p) runs on the nominal model, as the paper's does.
     """
-    length = max(windows(config))
     first, end = (
         max(recorded.pieces, key=lambda piece: piece[1] - piece[0]) if recorded is not None else (0, 0)
     )
-    if recorded is None or end - first < length:
+    there = [length for length in windows(config) if length <= end - first]
+    if recorded is None or not there:
         return None
+    length = max(there)
     y = recorded.y[first:end]
     u = with_constant(recorded.u[first:end], discrete.model.m)
     x0 = recorded.first_state(discrete, first, first + length) - discrete.B1 @ u[0]

@@ -76,6 +76,17 @@ def test_twenty_machines_with_few_sensors_are_identified(tmp_path: Path, kind: s
     assert sum(is_right_of_few(tmp_path, 300 + seed, kind) for seed in range(20)) >= 17
 
 
+@pytest.mark.parametrize("seed", [614, 616, 618, 632])
+def test_short_record_of_a_single_accelerometer_is_identified_where_a_step_of_half_an_sd_is_left(
+    tmp_path: Path, seed: int
+) -> None:
+    one, config, recording = written(tmp_path, seed, masses=1, sensing=SENSING["accelerometers"], span_s=8.0)
+    document, _ = identify(config=config, recordings=[recording])
+    assert document["ok"], document["errors"]
+    rows = document["parameters"]
+    assert all(abs(rows[name]["value"] - true) < 3.0 * rows[name]["sd"] for name, true in one.truth.items())
+
+
 @pytest.mark.parametrize("seed", [0, 5])
 def test_wrong_graph_is_refused_by_name(tmp_path: Path, seed: int) -> None:
     _, config, recording = written(tmp_path, seed, masses=3, without=0)

@@ -166,12 +166,13 @@ def _rows(kind: str, rows: list[str]) -> str:
 def written(
     folder: Path, seed: int, nominal: str = "", masses: int | None = None, without: int | None = None,
     sensing: Callable[[Machine, np.random.Generator], Sensors] = lambda one, _: displacements(one),
+    span_s: float = SPAN_S,
 ) -> tuple[Machine, Path, Path]:  # fmt: skip
     """Write configuration and recording of the machine of a seed; return it and their paths."""
     rng = np.random.default_rng([17, seed])
     one = machine(rng, masses)
     sensors = sensing(one, np.random.default_rng(seed))
-    columns = recorded(one, rng, float(10.0 ** rng.uniform(-4.0, -1.5)), sensors=sensors)
+    columns = recorded(one, rng, float(10.0 ** rng.uniform(-4.0, -1.5)), span_s, sensors)
     stated = one.masses * (1.0 + np.clip(0.02 * rng.normal(size=len(one.masses)), -0.04, 0.04))
     config, record = folder / f"{seed}.toml", folder / f"{seed}.npz"
     config.write_text(configuration(one, columns, stated, nominal, without, sensors), encoding="utf-8")

@@ -1,11 +1,14 @@
 """What the page and the terminal say of covariates: the newest reading, its age, and what follows it."""
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from agent.cli.glance.files import several
+from agent.cli.glance.frame import frame
 from agent.cli.glance.state import overview
 from agent.commissioning.baseline.learn import Stretch, learn
 from agent.records import CovariateMean
@@ -42,3 +45,27 @@ def test_covariate_of_a_baseline_that_is_not_read_any_more_is_named(tmp_path: Pa
     hall, roof = overview(several([db], []), late.t_ns + 2 * MINUTE)["rigs"][0]["covariates"]
     assert (hall["value"], hall["age_s"], hall["unit"], hall["stale"]) == (None, None, "degC", True)
     assert (roof["value"], roof["stale"], roof["compensates"]) == (5.0, False, [])
+
+
+def test_watch_shows_what_surrounds_a_rig_and_how_old_it_is(tmp_path: Path) -> None:
+    db = stored(tmp_path / "rig.db", {"hall": swings})
+    learn(db, None, Stretch())
+    console = Console(width=80, file=io.StringIO(), record=True)
+    end = START + DAYS * 1440 * MINUTE
+    for minutes in (0, 24 * 60):
+        console.print(frame(overview(several([db], []), end + minutes * MINUTE), "12:00"))
+    fresh, late = [line for line in console.export_text().splitlines() if line.strip().startswith("hall ")]
+    value = f"{float(swings(DAYS * 1440.0 - 5)):.2f} degC"
+    assert value in fresh
+    assert "4 min ago" in fresh
+    assert "taken out of k1 by -0." in fresh
+    assert "24 h ago" in late
+
+
+def test_watch_shows_a_covariate_that_was_never_read(tmp_path: Path) -> None:
+    found = overview(several([stored(tmp_path / "rig.db", {"hall": swings})], []), START)
+    never = {"value": None, "age_s": None, "stale": True}
+    found["rigs"][0]["covariates"] = [row | never for row in found["rigs"][0]["covariates"]]
+    console = Console(width=80, file=io.StringIO(), record=True)
+    console.print(frame(found, "12:00"))
+    assert "hall        -       never   no reference follows it" in console.export_text()

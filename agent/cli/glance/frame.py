@@ -51,6 +51,8 @@ def _rig(rig: Mapping[str, Any]) -> Iterable[RenderableType]:
         yield _table(
             ("source", "samples/s", "lag", "rejected", "dropped", "gaps", ""), map(_source, rig["sources"])
         )
+    if rig["covariates"]:
+        yield _table(("covariate", "value", "read", "what"), map(_covariate, rig["covariates"]))
 
 
 def _table(columns: Iterable[str], rows: Iterable[Sequence[RenderableType]]) -> Table:
@@ -123,6 +125,12 @@ def _source(row: Row) -> tuple[RenderableType, ...]:
     counts = (str(row[key]) for key in ("rejected", "dropped", "gaps"))
     lag = "-" if row["lag_s"] is None else f"{row['lag_s']:.3g} s"
     return row["source"], number(row["rate_hz"], 4), lag, *counts, silent
+
+
+def _covariate(row: Row) -> "tuple[RenderableType, ...]":
+    value = "-" if row["value"] is None else f"{number(row['value'], 4)} {row['unit']}"
+    read = "never" if row["age_s"] is None else f"{_age(row['age_s'])} ago"
+    return row["covariate"], value, _line(read, "red" if row["stale"] else ""), row["words"]
 
 
 def _age(seconds: float) -> str:

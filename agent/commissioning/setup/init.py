@@ -47,14 +47,10 @@ def placed(wanted: str, signals: list[str], what: str) -> str:
     ]
     if len(same) == 1:
         return same[0]
-    words = (
-        f'{what}: several signals are called "{wanted}"'
-        if same
-        else f'{what}: no signal is called "{wanted}"'
-    )
-    raise UsageError.at(
-        "--dbc", words, f"name one of {', '.join(signals[:20])}, as --channel ...:UNIT:MESSAGE.SIGNAL"
-    )
+    number = "several signals are" if same else "no signal is"
+    place = f"{what} " if what.startswith("--") else "--channel ...:UNIT:"
+    advice = f"name one of {', '.join(same or signals[:20])}, as {place}MESSAGE.SIGNAL"
+    raise UsageError.at("--dbc", f'{what}: {number} called "{wanted}"', advice)
 
 
 QUESTIONS = {

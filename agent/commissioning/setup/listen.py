@@ -31,7 +31,7 @@ from drivers.port import Trace, Unit
 from drivers.reconnect import LinkEvent
 
 SHOWN_EVERY_S = 0.5
-"""A source's good units are shown so often, the newest of them; rejected ones at once, but for floods."""
+"""A source's good units are shown so often, the newest of each kind; rejected at once, but for floods."""
 MOST_BAD = 5
 """Rejected units of a source that are shown at a time."""
 KEPT = 50
@@ -204,10 +204,13 @@ class _Watch:
         bad = [unit for unit in units if unit.values is None]
         for unit in bad[-MOST_BAD:]:
             yield Line(now, ear.name, printable(unit.raw), None, unit.reason)
-        good = next((unit for unit in reversed(units) if unit.values is not None), None)
-        if good is not None and good.values is not None and now >= ear.shown_at_s + SHOWN_EVERY_S:
+        # units that carry other fields are other frames: of each kind the newest
+        rows = [(unit.raw, unit.values) for unit in units if unit.values is not None]
+        newest = {tuple(np.isfinite(values)): (raw, values) for raw, values in rows}
+        if newest and now >= ear.shown_at_s + SHOWN_EVERY_S:
             ear.shown_at_s = now
-            yield Line(now, ear.name, printable(good.raw), ear.values(good.values))
+            for raw, values in newest.values():
+                yield Line(now, ear.name, printable(raw), ear.values(values))
 
     def _show(self, line: Line) -> None:
         self.lines.append(line)

@@ -156,6 +156,18 @@ def test_check_warns_of_a_bound_that_the_newest_hour_of_rows_exceeds(tmp_path: P
     assert document["bytes_per_rig_year"] > 16e6
 
 
+def test_check_weighs_every_window_of_auto_and_warns_of_what_none_of_them_tells(tmp_path: Path) -> None:
+    document = checked(edited(tmp_path, ("window_s = 0.25", 'window_s = "auto"')))
+    lengths = sorted({row["window_s"] for row in document["predicted_sd"]})
+    assert len(lengths) == 5
+    assert lengths[-1] > 3.67 * 3
+    assert warned(document, "estimator") == []
+    strict = checked(edited(tmp_path, ("window_s = 0.25", 'window_s = "auto"\nresolve = 1e-6')))
+    said = warned(strict, "estimator")
+    assert [message.split(" tell ")[1].split()[0] for message in said] == ["k1", "k2", "B1", "B2"]
+    assert all(message.startswith(f"{lengths[-1]:g} s tell") for message in said)
+
+
 def test_check_warns_of_a_mass_that_nothing_holds(tmp_path: Path) -> None:
     text = example("modbus", tmp_path).read_text(encoding="utf-8")
     for name in ("k1", "B1"):

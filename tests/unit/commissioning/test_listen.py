@@ -171,6 +171,31 @@ def test_listen_on_each_bus_shows_units_and_the_bytes_of_what_is_rejected(
     assert bytes_shown in source["first_rejected"][reason]
 
 
+def test_listen_shows_a_frame_of_each_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    text = (ROOT / "deploy/examples/can.toml").read_text(encoding="utf-8")
+    config = tmp_path / "can.toml"
+    config.write_text(text.replace("29536", port).replace("RIG_SAMPLE.X2", "ARM.X2"), encoding="utf-8")
+    frames = (ROOT / "deploy/examples/two-mass-rig.dbc").read_text(encoding="utf-8")
+    arm = "BO_ 257 ARM: 8 RIG\n" + "".join(
+        f"{line}\n" for line in frames.splitlines() if line.startswith((" SG_ Counter", " SG_ X2"))
+    )
+    (tmp_path / "two-mass-rig.dbc").write_text(
+        frames.replace("CM_ BO_", f"{arm}\nCM_ BO_", 1), encoding="utf-8"
+    )
+    play = [sys.executable, "-m", "agent", "sim", str(config)]
+    with subprocess.Popen(play, stdout=subprocess.PIPE, text=True) as device:
+        assert device.stdout is not None
+        assert device.stdout.readline() == "ready\n"
+        code, out, err = listened(capsys, str(config), "--duration", "0.8", "--json")
+        device.terminate()
+    assert code == 0, err
+    good = [row for row in json.loads(out)["lines"] if row["values"]]
+    shown = {(row["raw"].split()[0], *sorted(row["values"])) for row in good}
+    assert {("RIG_SAMPLE", "force", "x1"), ("ARM", "x2")} <= shown
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
 def test_listen_ends_with_a_signal_and_tells_what_it_saw(tmp_path: Path, number: int, code: int) -> None:
     with line(tmp_path, b"N,1.5\n") as config:

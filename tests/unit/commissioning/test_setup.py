@@ -268,3 +268,15 @@ def test_sim_of_a_file_without_nominals_says_what_to_do_instead(tmp_path: Path, 
     assert code == 2
     assert "model.spring[0].nominal: is missing; the simulator plays what stands there: give the value" in err
     assert "deltak identify" in err
+
+
+def test_init_names_the_signals_that_a_counter_of_two_messages_may_be(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    frames = (ROOT / "deploy/examples/two-mass-rig.dbc").read_text(encoding="utf-8")
+    more = 'BO_ 257 ARM: 8 RIG\n SG_ Counter : 0|16@1+ (1,0) [0|65535] "" GATEWAY\n\nCM_ BO_'
+    (tmp_path / "two-mass-rig.dbc").write_text(frames.replace("CM_ BO_", more, 1), encoding="utf-8")
+    flags = ["--bus", "can", "--dbc", "two-mass-rig.dbc", "--rate", "1000", *MASSES, *CHANNELS]
+    code, _, err = run(capsys, "init", str(tmp_path / "press.toml"), *flags, "--counter", "Counter")
+    said = 'several signals are called "Counter"; name one of RIG_SAMPLE.Counter, ARM.Counter, as --counter'
+    assert (code, said in err) == (2, True)

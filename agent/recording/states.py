@@ -18,7 +18,7 @@ import numpy as np
 
 from agent.recording.event_files import Labels, Taken
 
-MOST_BYTES: Final = 16 << 20
+STATE_BYTES: Final = 16 << 20
 """A pipeline that takes more is not kept: it would cost more to remember than to explain is worth."""
 _PACKAGES: Final = (
     "agent.numerics.", "agent.blocks.", "agent.config.", "agent.types", "agent.alarms.",
@@ -67,7 +67,7 @@ def frozen(pipeline: object) -> bytes | None:
     except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
         log.warning("alarms of this run cannot be computed again later: %s", error)
         return None
-    return content if len(content) <= MOST_BYTES else None
+    return content if len(content) <= STATE_BYTES else None
 
 
 def state_bytes(state: State, given: Rounds, span: tuple[int, int]) -> bytes:

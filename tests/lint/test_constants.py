@@ -22,8 +22,8 @@ def package_of(file: Path) -> str:
 def numbers(source: str) -> Iterator[tuple[str, str]]:
     """Yield the names in capitals that a module gives to numbers, and what stands there."""
     for node in ast.parse(source).body:
-        value = node.value if isinstance(node, ast.Assign) else None
-        target = node.targets[0] if isinstance(node, ast.Assign) else None
+        value = node.value if isinstance(node, ast.Assign | ast.AnnAssign) else None
+        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         if value is None or target is None:
             continue
         names = target.elts if isinstance(target, ast.Tuple) else [target]
@@ -63,6 +63,7 @@ def test_constants_of_tables_are_seen() -> None:
     found = meanings()
     assert ("agent/blocks", "PARTNER_S") in found
     assert ("drivers/modbus", "PATIENCE") in found
-    assert dict(numbers("A, B = 1.0, -2\nC = (1, 2)\nD = 'x'\nE = {1: 2}\nf = 3\nG = 1 << 4\nH = A * 2")) == {
-        "A": "1.0", "B": "-2", "C": "(1, 2)", "G": "1 << 4",
+    source = "A, B = 1.0, -2\nC = (1, 2)\nD = 'x'\nE = {1: 2}\nf = 3\nG = 1 << 4\nH = A * 2\nI: Final = 9"
+    assert dict(numbers(source)) == {
+        "A": "1.0", "B": "-2", "C": "(1, 2)", "G": "1 << 4", "I": "9",
     }  # fmt: skip

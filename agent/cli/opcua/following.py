@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 EVERY_S: Final = 1.0
 _NO_ROWS: Final = 10**18 - 1
 """A cursor so far ahead that rows of estimates are not read: those come by the overview, the newest only."""
-_PAGE: Final = 500
+_CHANGES: Final = 500
 
 
 @dataclass(slots=True)
@@ -80,7 +80,7 @@ class Following:
             return _Look(overview([database], wall_ns())["rigs"], [], now, is_first)
         steps: list[Change] = []
         while after != now:
-            page, after = changes(database.path, after, _PAGE)
+            page, after = changes(database.path, after, _CHANGES)
             steps += page
             now = now if now.reaches(after) else after
         return _Look(overview([database], wall_ns())["rigs"], steps, after, is_first)

@@ -39,7 +39,7 @@ class _Part:
     refused: int
 
 
-_KEPT: Final = 100
+_PARTS_KEPT: Final = 100
 _parts: dict[tuple[Path, str | None, str | None], _Part] = {}
 
 
@@ -49,7 +49,7 @@ def _kept(database: Watched, rig: str | None, parameter: str | None) -> _Part:
     mark = recent.forecasts_mark(database.path)
     part = _parts.get(key)
     if part is None or part.mark != mark:
-        if len(_parts) >= _KEPT:
+        if len(_parts) >= _PARTS_KEPT:
             _parts.clear()
         part = _parts[key] = _read(database, rig, parameter, mark)
     return part

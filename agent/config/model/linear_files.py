@@ -11,7 +11,7 @@ from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Faults
 
-LIMIT_BYTES: Final = 50_000_000
+MATRIX_BYTES: Final = 50_000_000
 KEYS: Final = ("file", "name")
 DERIVATIVES: Final = tuple(f"d{matrix}" for matrix in MATRICES)
 
@@ -79,14 +79,14 @@ class _Reader:
         if file.exists() and not file.is_file():
             raise _UnreadableError("is no file, its end may never come; name a file there is")
         try:
-            data = file.read_bytes() if file.stat().st_size <= LIMIT_BYTES else None
+            data = file.read_bytes() if file.stat().st_size <= MATRIX_BYTES else None
         except OSError as error:
             raise _UnreadableError(
                 f"cannot be read: {error.strerror or error}; name a file there is"
             ) from error
         if data is None:
             raise _UnreadableError(
-                f"is larger than {LIMIT_BYTES // 1_000_000} MB; a plant's matrices are small"
+                f"is larger than {MATRIX_BYTES // 1_000_000} MB; a plant's matrices are small"
             )
         matrix = _chosen(read(file), name, stated=stated)
         self.digests.append(hashlib.sha256(data).hexdigest())
@@ -117,9 +117,9 @@ def _rows(matrix: Any, name: str) -> list[list[float]]:
 def _npz(file: Path) -> Mapping[str, Any]:
     import numpy as np
 
-    if _unpacked_bytes(file) > LIMIT_BYTES:
+    if _unpacked_bytes(file) > MATRIX_BYTES:
         raise _UnreadableError(
-            f"unpacks to more than {LIMIT_BYTES // 1_000_000} MB; a plant's matrices are small"
+            f"unpacks to more than {MATRIX_BYTES // 1_000_000} MB; a plant's matrices are small"
         )
     try:
         with np.load(file, allow_pickle=False) as arrays:

@@ -102,17 +102,23 @@ class TextDecoder(SerialDecoder):
         body = (_nmea_body(text) if self._nmea else text) or ""
         cells = len(body.split(self._delimiter)) - self._nmea
         behind = " behind its address, which with $ is no column" if self._nmea else ""
+        sentence = self._sentence(text)
         between = ", held against what lies between $ and *, the address included" if self._nmea else ""
         return {
             "length": f"more than {LONGEST} characters",
             "checksum": (
                 'checksum = "nmea" wants $ADDRESS,cells*HH, HH the exclusive or of what lies between $ and *'
             ),
-            "columns": f"{cells} cells{behind}; columns has {len(self._columns)}",
+            "columns": f"{cells} cells{behind}; columns has {len(self._columns)}{sentence}",
             "pattern": f"does not match the pattern{between}",
-            "text": "a cell is no decimal number",
+            "text": f"a cell is no decimal number{sentence}",
             "counter": "the counter is no whole number",
         }[reason]
+
+    def _sentence(self, text: str) -> str:
+        """Advise the key that lines which are NMEA sentences want where it is not set."""
+        is_unexpected = not self._nmea and _nmea_body(text) is not None
+        return '; of $ADDRESS,cells*HH take checksum = "nmea"' if is_unexpected else ""
 
     def _cells(self, line: str) -> list[float] | str:
         if len(line) > LONGEST:

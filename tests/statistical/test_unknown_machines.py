@@ -95,5 +95,26 @@ def test_wrong_graph_is_refused_by_name(tmp_path: Path, seed: int) -> None:
     assert not document["ok"]
     message = document["errors"][0]["message"]
     assert "% of the motion of x" in message or "the graph fits only with" in message, message
+    assert "where the file says" not in document["errors"][0]["advice"]
     assert config.read_bytes() == before
     assert np.isfinite(document["unexplained_percent"])
+
+
+@pytest.mark.parametrize(
+    ("channels", "factor", "said"),
+    [
+        (["x1"], 1e3, "it fits with x1 in mm where the file says m: correct"),
+        (["x1", "x2", "x3", "x4"], 1e3, "; or x1, x2, x3, x4 in mm where the file says m: correct"),
+        (["f4"], 1 / 9.80665, "it fits with f4 in kgf where the file says N: correct"),
+    ],
+)
+def test_channels_in_another_unit_are_named_with_it(
+    tmp_path: Path, channels: list[str], factor: float, said: str
+) -> None:
+    _, config, recording = written(tmp_path, 2)
+    with np.load(recording) as columns:
+        read = {name: factor * v if name in channels else v for name, v in columns.items()}
+    np.savez(recording, **read)
+    document, _ = identify(config=config, recordings=[recording])
+    assert not document["ok"]
+    assert said in document["errors"][0]["advice"]

@@ -103,6 +103,7 @@ def test_noise_of_an_accelerometer_is_told_without_the_motion_and_in_its_own_uni
 
 @pytest.mark.parametrize(("line", "reason", "words"), [
     (b"1,2,3\n", "columns", "3 cells; columns has 4"),
+    (b"$A,1,2,3,4*45\n", "columns", '5 cells; columns has 4; of $ADDRESS,cells*HH take checksum = "nmea"'),
     (b"1,2,x,4\n", "text", "a cell is no decimal number"),
     (b"1.5,2,3,4\n", "counter", "the counter is no whole number"),
 ])  # fmt: skip

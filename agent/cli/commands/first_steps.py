@@ -115,6 +115,9 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
     columns: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="Serial: the cells of a line of text.")
     ] = None,
+    checksum: Annotated[
+        str | None, typer.Option(metavar="nmea", help="Serial: of lines such as $IIXDR,1.5,2*HH.")
+    ] = None,
     sync: Annotated[
         str | None, typer.Option(metavar="HEX", help="Serial: how a binary frame begins.")
     ] = None,
@@ -143,8 +146,8 @@ def init(  # noqa: PLR0913, PLR0917 the signature is the command line
 
     keys = {
         "interface": interface, "channel": bus_channel, "dbc": dbc, "host": host, "port": port,
-        "baudrate": baudrate, "columns": columns, "sync": sync, "fields": fields, "crc": crc,
-        "device_id": device_id, "index": index, "ring": ring,
+        "baudrate": baudrate, "columns": columns, "checksum": checksum, "sync": sync, "fields": fields,
+        "crc": crc, "device_id": device_id, "index": index, "ring": ring,
     }  # fmt: skip
     elements = {"spring": spring, "damper": damper, "friction": friction}
     model = (kind, element or [])

@@ -28,7 +28,7 @@ LOOK_AGAIN = (
 def refusals(rig: RigConfig, found: Found) -> list[Fault]:
     """Return why the model is not the machine's; empty where it is."""
     is_graph = isinstance(rig.model, MechanicsModel)
-    what, advice = ("the graph", LOOK_FOR) if is_graph else ("the model", LOOK_AGAIN)
+    what, advice = ("the graph", found.units or LOOK_FOR) if is_graph else ("the model", LOOK_AGAIN)
     worst = [
         Fault("model", f"{what} leaves {percent(share)} of the motion of {channel.name} unexplained", advice)
         for channel, share in zip(rig.outputs, found.seen.beyond.tolist(), strict=True)

@@ -38,6 +38,8 @@ class Found:
     helpful: Mapping[int, str] = field(default_factory=dict)
     """Displacements that would show parameters that are not known, by the parameters' numbers."""
     rival: Rival | None = None
+    units: str = ""
+    """Of a graph that is refused: in which units of the channels it would fit, in words."""
 
     def rival_in(self, i: int) -> Rival | None:
         """Return the other solution that differs in a parameter, by its number; None without one."""

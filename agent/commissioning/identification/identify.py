@@ -7,6 +7,7 @@ Equations and limits are in docs/identify.md.
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,13 @@ import numpy as np
 from agent.blocks.rig_model import rig_model
 from agent.commissioning.explained import Explained
 from agent.commissioning.identification.document import document_of
-from agent.commissioning.identification.doubts import LOOK_FOR
+from agent.commissioning.identification.doubts import LOOK_FOR, refusals
 from agent.commissioning.identification.found import Found
 from agent.commissioning.identification.graph import require_motion_sensors, with_blanks
 from agent.commissioning.identification.join import joined
 from agent.commissioning.identification.material import material_of, read_records, recorded_span_s
 from agent.commissioning.identification.start import started_linear, starts
+from agent.commissioning.identification.units import fitting_units
 from agent.commissioning.nominals import write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.recording_summary import Material
@@ -70,4 +72,7 @@ def _identified(rig: RigConfig, recordings: Material, progress: Progress) -> tup
         begun = starts(begun[0], records)
     if faults := model_faults(begun[0], rig_model(begun[0])):
         raise ModelError(faults)
-    return joined(begun[0], records, progress, begun[1:]), recorded_span_s(records)
+    found = joined(begun[0], records, progress, begun[1:])
+    if refusals(rig, found):
+        found = replace(found, units=fitting_units(begun[0], records, progress))
+    return found, recorded_span_s(records)

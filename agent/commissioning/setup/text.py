@@ -165,7 +165,8 @@ def _can(given: Mapping[str, Any]) -> dict[str, Any]:
 def _serial(given: Mapping[str, Any]) -> dict[str, Any]:
     keys = {"port": given["port"]} | _baud(given)
     if "columns" in given:
-        return keys | {"format": "text", "columns": [name.strip() for name in given["columns"].split(",")]}
+        keys |= {"format": "text", "columns": [name.strip() for name in given["columns"].split(",")]}
+        return keys | ({"checksum": given["checksum"]} if "checksum" in given else {})
     keys |= {"format": "binary", "sync": given["sync"], "fields": fields_of(given["fields"])}
     return keys | ({"crc": given["crc"]} if "crc" in given else {})
 

@@ -280,3 +280,13 @@ def test_init_names_the_signals_that_a_counter_of_two_messages_may_be(
     code, _, err = run(capsys, "init", str(tmp_path / "press.toml"), *flags, "--counter", "Counter")
     said = 'several signals are called "Counter"; name one of RIG_SAMPLE.Counter, ARM.Counter, as --counter'
     assert (code, said in err) == (2, True)
+
+
+def test_init_writes_the_checksum_of_lines_of_text(tmp_path: Path, capsys: Capture) -> None:
+    file = tmp_path / "press.toml"
+    flags = ["--bus", "serial", "--rate", "100", *BUSES["serial"], *MASSES, *CHANNELS]
+    assert run(capsys, "init", str(file), *flags, "--checksum", "nmea")[0] == 0
+    assert 'checksum = "nmea"' in file.read_text(encoding="utf-8")
+    other = tmp_path / "other.toml"
+    code, _, err = run(capsys, "init", str(other), *flags, "--checksum", "xor")
+    assert (code, "checksum" in err, other.exists()) == (2, True, False)

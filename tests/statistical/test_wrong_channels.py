@@ -112,9 +112,14 @@ def test_channel_that_is_wrong_from_the_start_gives_no_wrong_row(
     hold([kind], range(1), request)
 
 
-@pytest.mark.parametrize(("kind", "words"), [("late", "x1 comes "), ("mm against m", "x1 reads ")])
-def test_channel_late_or_in_millimetres_is_named_and_gives_no_valid_row(kind: str, words: str) -> None:
-    said = one((kind, 0))
+@pytest.mark.parametrize(
+    ("kind", "seed", "words"),
+    [("late", 0, "x1 comes "), ("mm against m", 0, "x1 reads "), ("mm against m", 104, "x1 reads ")],
+)
+def test_channel_late_or_in_millimetres_is_named_and_gives_no_valid_row(
+    kind: str, seed: int, words: str
+) -> None:
+    said = one((kind, seed))
     assert (said.valid, said.alarms) == (0, ("x1",))
     assert said.words[0].startswith(words)
 

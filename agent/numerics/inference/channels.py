@@ -276,6 +276,7 @@ class ChannelTest:
 
     def _mended(self, fault: Fault, known: Knowledge, sd: FloatArray, late: Late) -> Explanation | None:
         """Mend readings by a fault's size, then by what is left, until it rests; None where it never does."""
+        last = 0.0
         for _ in range(tuning.MENDINGS):
             left = self._left(fault, known, sd, late)
             if left is None:
@@ -288,7 +289,8 @@ class ChannelTest:
                     return self._explained(fault.moved(step), window, known, sd)
             if abs(step) < RESTS_SD * spread:
                 return self._explained(fault, window, known, sd)
-            fault = fault.moved(step)
+            last = _restrained(step, last)
+            fault = fault.moved(last)
         return None
 
     def _left(
@@ -437,6 +439,11 @@ def _put_right(window: Window, rig: Rig, fault: Fault) -> Window:
         u[:, taps] = factor * u[:, taps] + more
         slope[:, taps] *= factor
     return replace(window, y=y, u=u, slope=slope)
+
+
+def _restrained(step: float, last: float) -> float:
+    """Return a step, halved where it turns back: the columns of the parameters scale with what is mended."""
+    return 0.5 * step if step * last < 0 else step
 
 
 def _as_read(fault: Fault) -> Fault:

@@ -207,10 +207,38 @@ class Constants:
 
     def predicted(self, windows: float = 1.0) -> "Constants":
         """Return what is known so many windows later: constants walk, hypotheses switch."""
-        prior = np.array([h.prior for h in self.hypotheses])
-        prior /= prior.sum()
         stays = (1 - tuning.SWITCH) ** windows
-        return replace(self.after(windows), weight=stays * self.weight + (1 - stays) * prior)
+        first = Constants.prior(self.hypotheses)
+        return replace(self.after(windows), weight=stays * self.weight + (1 - stays) * first.weight)
+
+    def switched(self, windows: float) -> "Constants":
+        """Return what is predicted, each hypothesis as it is likelier: as it stayed, or switched to.
+
+        A Gaussian about both would let all constants go.
+        """
+        predicted = self.predicted(windows)
+        first = self._begun
+        stays = (1 - tuning.SWITCH) ** windows
+        anew = (1 - stays) * first.weight > stays * self.weight
+        mean = np.where(anew[:, None], first.mean, self.mean)
+        covariance = np.where(anew[:, None, None], first.covariance, predicted.covariance)
+        return Constants(self.hypotheses, predicted.weight, mean, covariance)
+
+    @property
+    def _begun(self) -> "Constants":
+        """Each hypothesis where it becomes true now: as before any data, but what drifts from where it is.
+
+        One that was refuted begins with its prior, as its odds do: where it stood when it was refuted, it
+        would have paid nothing for how far that is. A gain that begins to drift has not moved yet (as modes
+        interact: Blom & Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
+        """
+        first = Constants.prior(self.hypotheses)
+        mean, total = self.standing
+        drifting = np.array([h.drifts * h.members for h in self.hypotheses])
+        share = drifting / np.maximum(drifting.sum(axis=1), 1.0)[:, None]
+        variance = np.einsum("hi,ij,hj->h", share, total, share) - tuning.OFF_RELATIVE**2
+        moved = variance[:, None, None] * drifting[:, :, None] * drifting[:, None, :]
+        return replace(first, mean=(share @ mean)[:, None] * drifting, covariance=first.covariance + moved)
 
     def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
         """Return what is known after a window of information S (c, c) and score g (c,) about η = at (c,)."""

@@ -16,7 +16,7 @@ FORGET = 0.97
 """Factor a window on the log-weights of force and colour intensities. Needed by: forces that begin."""
 SHAKEN = 0.1
 """The same for a window that only other noise explains: sources are looked for as in a first window."""
-UNSETTLED = 0.1
+UNSETTLED = 0.05
 """Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
 LARGE_NODES = 20.0
 """An intensity beyond this many first nodes is followed so: a weak one moves by chance. Cost only."""

@@ -65,6 +65,47 @@ def test_constants_switch_and_walk_from_window_to_window() -> None:
     assert grown == pytest.approx(tuning.DRIFT_WALKS[0] ** 2, rel=1e-3)
 
 
+def test_constants_refuted_hypothesis_comes_back_with_its_prior() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    told = prior.updated(
+        np.diag([1e8] * 3), np.array([8e6, 0.0, 0.0]), np.zeros(3)
+    )  # m1 8 % off, others right
+    later = told.switched(1.0)
+    refuted = told.weight < 0.1 * tuning.SWITCH * prior.weight
+    static = refuted & ~np.array([h.drifts for h in prior.hypotheses])
+    assert static[0]
+    assert not refuted.all()
+    assert np.all(later.mean[static] == 0.0)
+    assert np.array_equal(later.covariance[static], prior.covariance[static])
+    assert np.array_equal(later.mean[~refuted], told.mean[~refuted])
+    assert later.weight == pytest.approx(told.predicted().weight)
+
+
+def test_constants_gain_that_begins_to_drift_does_so_from_where_it_is_known_to_be() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    told = prior.updated(np.diag([1e8] * 3), np.array([0.0, 0.0, 4e6]), np.zeros(3))  # x1 4 % off
+    none = Constants(told.hypotheses, np.where([h.drifts for h in told.hypotheses], 0, told.weight),
+                     told.mean, told.covariance)  # fmt: skip
+    later = none.switched(1.0)
+    x1 = next(i for i, h in enumerate(prior.hypotheses) if h.drifts and h.name == "x1")
+    mean, total = none.standing
+    assert later.mean[x1] == pytest.approx([0.0, 0.0, mean[2]])
+    assert later.covariance[x1, 2, 2] == pytest.approx(total[2, 2] + prior.covariance[0, 2, 2], rel=1e-6)
+    assert later.covariance[x1, 0, 0] == pytest.approx(prior.covariance[0, 0, 0])
+
+
+def test_constants_that_are_all_off_do_not_slide_to_the_narrowest_data_sheets() -> None:
+    """Where no constant can be off alone, data sheets three times as wide explain it: window after window."""
+    known = Constants.prior(hypotheses_of(CONSTANTS))
+    apart = np.array([0.15, -0.15, 0.0])
+    S = np.diag([1e8, 1e8, 0.0])  # nothing tells of x1
+    sds = []
+    for _ in range(40):
+        known = known.switched(1.0).updated(S, S @ apart, np.zeros(3))
+        sds.append(np.sqrt(known.total[2, 2]))
+    assert min(sds) > 0.9 * sds[0]
+
+
 def test_constants_some_windows_later_are_what_as_many_steps_make_them() -> None:
     known = Constants.prior(hypotheses_of(CONSTANTS))
     known = Constants(known.hypotheses, np.eye(len(known.weight))[0], known.mean, known.covariance)

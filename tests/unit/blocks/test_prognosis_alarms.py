@@ -28,7 +28,7 @@ class Rule:
 
 def change(slope: float, sd: float) -> Change:
     rates = Rates(np.array([slope]), np.array([sd]), np.array([1.0]))
-    return Change(24.0, 0.1, slope, sd, slope - 2 * sd, slope + 2 * sd, slope, sd, 0.0, 1.0, 0.5, 0.5, rates)
+    return Change(24.0, 0.1, slope, sd, slope, sd, 0.0, 1.0, 0.5, 0.5, rates)
 
 
 def outlook(

@@ -38,9 +38,9 @@ def listens(pid: int) -> bool:
 
 
 def children(pid: int) -> list[int]:
-    return [
-        int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-    ]
+    """Return the processes that any thread of a process began."""
+    begun = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for task in begun for child in task.read_text(encoding="ascii").split()]
 
 
 def alive(pid: int) -> bool:

@@ -32,10 +32,8 @@ from drivers.port import (
     SampleBlock,
     SourceRequest,
 )
+from drivers.tuning import CONFORMANCE_READ_S, DEADLINE_S
 from drivers.write_gate import permitted
-
-DEADLINE_S = 20.0
-READ_S = 0.05
 
 
 class Line(ABC):
@@ -124,15 +122,15 @@ class DriverConformance(ABC):
             self.line.play(part)
             pieces.append(self.collect(len(part))[0])
         np.testing.assert_array_equal(np.concatenate(pieces), played)
-        assert self.collect_for(3 * READ_S) == 0
+        assert self.collect_for(3 * CONFORMANCE_READ_S) == 0
 
     def test_read_without_samples_is_empty_within_its_timeout(self) -> None:
         self.opened()
         begun = time.monotonic()
-        block = self.driver.read(READ_S)
+        block = self.driver.read(CONFORMANCE_READ_S)
         assert len(block) == 0
         assert block.values.shape == (0, len(self.driver.request.fields))
-        assert time.monotonic() - begun < READ_S + 2.0
+        assert time.monotonic() - begun < CONFORMANCE_READ_S + 2.0
 
     def test_close_twice_is_harmless(self) -> None:
         self.driver.close()
@@ -141,7 +139,7 @@ class DriverConformance(ABC):
         self.driver.close()
 
     def test_read_before_open_raises_io_error(self) -> None:
-        assert raises(DriverIOError, lambda: self.driver.read(READ_S))
+        assert raises(DriverIOError, lambda: self.driver.read(CONFORMANCE_READ_S))
 
     def test_open_after_close_continues_counts_and_samples(self) -> None:
         played = self.samples(100)
@@ -232,7 +230,7 @@ class DriverConformance(ABC):
     def open_and_read(self) -> None:
         """Open and read once, as the absence of some devices shows only then."""
         self.driver.open()
-        self.driver.read(READ_S)
+        self.driver.read(CONFORMANCE_READ_S)
 
     def collect(self, count: int) -> tuple[FloatArray, IntArray]:
         """Read until `count` samples have come; return their values and counters."""
@@ -250,7 +248,7 @@ class DriverConformance(ABC):
         """Yield blocks while they are wanted, at most until the deadline."""
         deadline = time.monotonic() + DEADLINE_S
         while wanted() and time.monotonic() < deadline:
-            yield self.driver.read(READ_S)
+            yield self.driver.read(CONFORMANCE_READ_S)
 
     def collect_for(self, seconds: float) -> int:
         """Read for a while; return how many samples came."""

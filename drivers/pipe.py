@@ -12,8 +12,7 @@ from abc import ABC, abstractmethod
 from drivers import clock, write_gate
 from drivers.port import DriverIOError
 from drivers.serial_port import SerialKeys, close_port, open_port
-
-_BLOCK = 65536
+from drivers.tuning import READ_BYTES
 
 
 class Pipe(ABC):
@@ -85,7 +84,7 @@ class TcpPipe(Pipe):
 
     def _read(self) -> bytes:
         try:
-            data = self._socket.recv(_BLOCK)
+            data = self._socket.recv(READ_BYTES)
         except OSError as error:
             raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
         if not data:
@@ -114,7 +113,7 @@ class SerialPipe(Pipe):
 
     def _read(self) -> bytes:
         try:
-            data = os.read(self.fileno(), _BLOCK)
+            data = os.read(self.fileno(), READ_BYTES)
         except OSError as error:
             raise DriverIOError(f"{self.name}: {error.strerror or error}") from error
         if not data:

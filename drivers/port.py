@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
+from drivers.tuning import RETRY_S
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -161,11 +163,6 @@ class Capture:
     text: Callable[[], bytes]
     lines: int
     beside: Mapping[str, Any]
-
-
-RETRY_S, RETRY_HERE_S = 1.2, 0.4
-"""Longest pauses between tries to open a source, so that it is read again within 2 s of its return: of one
-that is reached over a network, and of one whose absence this machine knows by itself."""
 
 
 class DriverSettings(BaseModel):

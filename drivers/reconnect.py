@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers import clock
-from drivers.port import RETRY_S, Driver, DriverIOError, SampleBlock
-
-FIRST_S = 0.1
+from drivers.port import Driver, DriverIOError, SampleBlock
+from drivers.tuning import FIRST_S, RETRY_S
 
 AWAY = frozenset({"lost", "stale", "bus-off"})
 """Causes that mean: no samples until "recovered"."""

@@ -13,8 +13,8 @@ _ISO = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d)[T ](?P<clock>\d\d:\d\d(?::\d\d)?)"
     r"(?:[.,](?P<part>\d+))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
-_WIDEST = 40
-_MOST_SECONDS = 9_000_000_000
+_WIDEST = 40  # fixed by 64 bits of nanoseconds and as many digits behind the point: more are no time stamp
+_MOST_SECONDS = 9_000_000_000  # fixed by 64 bits of nanoseconds
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 
 

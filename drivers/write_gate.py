@@ -15,7 +15,7 @@ READ_FUNCTIONS = frozenset({1, 2, 3, 4, 24})
 _REQUEST_BYTES = {1: 5, 2: 5, 3: 5, 4: 5, 24: 3}
 _SOCKETCAND = re.compile(rb"(< (open [A-Za-z0-9_.-]{1,32}|rawmode) >)+")
 _SLCAN = re.compile(rb"(C|S[0-8]|Z[01]|L)\r")
-_ASK_FOR_LINK = (18, 1)
+_ASK_FOR_LINK = (18, 1)  # fixed by linux/rtnetlink.h: RTM_GETLINK, NLM_F_REQUEST
 
 
 class ForbiddenWriteError(DriverError):

@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Literal
 
-LAG = 16384
-"""Played fast, no device runs further ahead of the slowest reader than this, in samples."""
-NS = 1_000_000_000
+from sim_bus.tuning import LAG_SAMPLES
+
+NS = 1_000_000_000  # fixed by units: nanoseconds of a second
 
 
 class PlayClock:
@@ -96,7 +96,7 @@ class PlayClock:
         if not self.fast or not self.started.is_set():
             return self.head()
         with self._lock:
-            head = self._bounded(min(self._taken[source] + room, min(self._taken.values()) + LAG))
+            head = self._bounded(min(self._taken[source] + room, min(self._taken.values()) + LAG_SAMPLES))
             self._shown = max(self._shown, head)
         return head
 

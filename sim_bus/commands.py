@@ -12,14 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sim_bus.tuning import ALONE_S, LINGER_S, TICK_S
+
 if TYPE_CHECKING:
     from sim_bus.player import Player
-
-LINGER_S = 1.0
-"""With --duration the devices stay readable this long after the last sample."""
-ALONE_S = 5.0
-"""After so long without a reader the command says what it waits for."""
-_TICK_S = 0.05
 
 
 def _list_faults(*, as_json: bool) -> None:
@@ -132,7 +128,7 @@ def _wait_for_readers(player: "Player", stop: threading.Event) -> None:
     """Say, where nobody reads, that this is what the clock waits for."""
     begun = time.monotonic()
     while not player.clock.started.is_set() and time.monotonic() < begun + ALONE_S:
-        if stop.wait(_TICK_S):
+        if stop.wait(TICK_S):
             return
     waiting = player.clock.unmet()
     if waiting:

@@ -12,14 +12,9 @@ from sim_bus.rig.faults import check
 from sim_bus.rig.rigfile import Channel, RigFile
 from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario
 from sim_bus.rig.trajectory import Rig
+from sim_bus.tuning import INSTANTS, SEEN_S, SEEN_SAMPLES, TOLERATED
 
-_LOOK_S = 10.0
-_MOST_SAMPLES = 50_000
-_DAY_S = 86_400.0
-_INSTANTS = 2000
-"""Of covariates, over all that is played, a day of what has no end."""
-_TOLERATED = 0.01
-"""Share of samples beyond the ends of a field from which on the scenario is not made for that wire."""
+_DAY_S = 86_400.0  # fixed by units
 
 Carried = Mapping[str, tuple[float, float]]
 
@@ -63,11 +58,11 @@ def _fits(rig: RigFile, scenario: Scenario, carried: Carried) -> bool:
 
 def _too_far(rig: RigFile, scenario: Scenario, carried: Carried, duration_s: float | None) -> list[str]:
     """Return in words which channels leave their fields in the first seconds."""
-    seconds = min(_LOOK_S, duration_s or scenario.duration_s or _LOOK_S)
-    count = max(1, min(_MOST_SAMPLES, round(seconds * rig.rig.sample_rate_hz)))
+    seconds = min(SEEN_S, duration_s or scenario.duration_s or SEEN_S)
+    count = max(1, min(SEEN_SAMPLES, round(seconds * rig.rig.sample_rate_hz)))
     moved = Rig(rig, scenario)
     played = moved.advance(count).true
-    beside = moved.covariates.true(np.linspace(0.0, duration_s or scenario.duration_s or _DAY_S, _INSTANTS))
+    beside = moved.covariates.true(np.linspace(0.0, duration_s or scenario.duration_s or _DAY_S, INSTANTS))
     lines = [
         _beyond(channel, played[:, column] / channel.si_factor, carried.get(channel.name))
         for column, channel in enumerate(rig.channel)
@@ -83,7 +78,7 @@ def _beyond(channel: Channel | CovariateChannel, values: FloatArray, ends: tuple
     if ends is None:
         return ""
     low, high = sorted(end * channel.scale + channel.offset for end in ends)
-    if np.mean((values < low) | (values > high)) <= _TOLERATED:
+    if np.mean((values < low) | (values > high)) <= TOLERATED:
         return ""
     reach = values[np.argmax(np.abs(values))]
     wanted = f"{channel.name} would reach {reach:.3g} {channel.unit}"

@@ -17,18 +17,10 @@ from drivers.can.codec.error_frames import ErrorWatch
 from drivers.can.codec.frames import Frames
 from drivers.can.codec.joiner import Decoded
 from drivers.can.codec.layout import FrameKeys
-from drivers.port import (
-    RETRY_HERE_S,
-    RETRY_S,
-    DriverIOError,
-    DriverSettings,
-    IntArray,
-    SampleBlock,
-    SourceRequest,
-)
+from drivers.can.tuning import FEW_FRAMES
+from drivers.port import DriverIOError, DriverSettings, IntArray, SampleBlock, SourceRequest
+from drivers.tuning import RETRY_HERE_S, RETRY_S
 
-_FEW = 64
-"""Where fewer frames came, the bus is left alone for a while: a read costs what hundreds of frames do."""
 _HERE = frozenset({"socketcan", "slcan"})
 """Buses of which this machine knows whether they are there."""
 
@@ -141,7 +133,7 @@ class CanDriver(DbcDriver):
         deadline = clock.monotonic() + timeout_s
         clock.sleep(max(0.0, min(self._due, deadline) - clock.monotonic()))
         frames = self._bus.frames(deadline)
-        self._due = clock.monotonic() + self._period_s(self._bus) if 0 < len(frames) < _FEW else 0.0
+        self._due = clock.monotonic() + self._period_s(self._bus) if 0 < len(frames) < FEW_FRAMES else 0.0
         return self.decoded(frames)
 
     def _period_s(self, bus: CanBus) -> float:

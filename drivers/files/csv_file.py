@@ -6,14 +6,11 @@ from collections.abc import Iterator
 from typing import BinaryIO
 
 from drivers.files.csv_text import Table
-from drivers.files.table import BLOCK_ROWS, RecordedFile, Rows, Wanted
+from drivers.files.table import RecordedFile, Rows, Wanted
+from drivers.files.tuning import BLOCK_ROWS, CHUNK_BYTES, LONGEST_HEADER, LONGEST_ROW
 from drivers.port import DriverConfigError
 
 _DELIMITERS = ",;\t"
-_LONGEST_HEADER = 1 << 20
-_LONGEST_ROW = 1 << 22
-_MOST_BYTES = 1 << 24
-"""That are read at once, however long the first row is; reading takes eleven times so much memory."""
 
 
 class CsvFile(RecordedFile):
@@ -32,7 +29,7 @@ class CsvFile(RecordedFile):
             raise
 
     def _begin(self) -> None:
-        header = self._header(self._file.readline(_LONGEST_HEADER))
+        header = self._header(self._file.readline(LONGEST_HEADER))
         delimiter = self._wanted.delimiter or max(_DELIMITERS, key=header.count)
         self._names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
         self._check_names()
@@ -62,8 +59,8 @@ class CsvFile(RecordedFile):
                 "a CSV or NPZ file, or a CAN log (.log, .asc, .blf, .trc, .mf4); unpack what is compressed"
             )
             raise DriverConfigError(f"{self._wanted.path}:1: is not text; a recording is {kinds}")
-        if len(line) == _LONGEST_HEADER:
-            what = f"a first line of more than {_LONGEST_HEADER} bytes is not read"
+        if len(line) == LONGEST_HEADER:
+            what = f"a first line of more than {LONGEST_HEADER} bytes is not read"
             raise DriverConfigError(f"{self._wanted.path}:1: {what}; leave out columns that no channel needs")
         if not text.strip():
             raise DriverConfigError(f"{self._wanted.path}:1: is blank; the first line must name the columns")
@@ -91,7 +88,7 @@ class CsvFile(RecordedFile):
         )
 
     def rows(self) -> Iterator[Rows]:
-        size = min(len(self._first) * BLOCK_ROWS, _MOST_BYTES)
+        size = min(len(self._first) * BLOCK_ROWS, CHUNK_BYTES)
         chunk = self._first + self._chunk(size, self._line + 1)
         while chunk:
             yield self._table.read(chunk)
@@ -105,9 +102,9 @@ class CsvFile(RecordedFile):
 
     def _rest_of_row(self, line: int) -> bytes:
         """Return the bytes up to the end of a row; DriverConfigError for a row that is none."""
-        rest = self._file.readline(_LONGEST_ROW)
-        if len(rest) == _LONGEST_ROW and not rest.endswith(b"\n"):
-            what = f"a row of more than {_LONGEST_ROW} characters is none"
+        rest = self._file.readline(LONGEST_ROW)
+        if len(rest) == LONGEST_ROW and not rest.endswith(b"\n"):
+            what = f"a row of more than {LONGEST_ROW} characters is none"
             raise DriverConfigError(f"{self._wanted.path}:{line}: {what}; see what the file holds there")
         return rest
 

@@ -16,7 +16,7 @@ from drivers.fields import ByteArray
 from drivers.port import FloatArray, IntArray
 from drivers.timestamps import column_to_ns, text_to_ns
 
-_NEWLINE, _QUOTE, _CR = 10, 34, 13
+_NEWLINE, _QUOTE, _CR = 10, 34, 13  # fixed by ASCII
 NO_TIME = int(np.iinfo(np.int64).min)
 """Stands for a time that could not be read."""
 

@@ -13,11 +13,10 @@ from drivers.files.csv_text import NO_TIME
 from drivers.files.npz_file import NpzFile
 from drivers.files.resolution import grid_step
 from drivers.files.table import RecordedFile, Rows, Wanted
+from drivers.files.tuning import HELD, LEVELS
 from drivers.port import Driver, DriverIOError, DriverSettings, FloatArray, IntArray, SampleBlock
 
 TIME = "t"
-LEVELS, HELD = 8, 10
-"""Something is commanded if it has fewer levels than this, and stays at each so many samples on average."""
 
 
 class RecordingSettings(DriverSettings):

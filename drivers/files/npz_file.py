@@ -11,7 +11,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from drivers.files.table import BLOCK_ROWS, RecordedFile, Rows, Wanted
+from drivers.files.table import RecordedFile, Rows, Wanted
+from drivers.files.tuning import BLOCK_ROWS, LARGE_BYTES, LONGEST_ARRAY_HEADER, PACKED_WELL
 from drivers.port import DriverConfigError, FloatArray
 from drivers.timestamps import seconds_to_ns
 
@@ -22,17 +23,11 @@ _DAMAGE = (ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, s
 """What zipfile and numpy raise for a damaged file; RuntimeError covers unknown compression and encryption."""
 
 
-_LARGE, _PACKED_WELL = 1 << 28, 100
-"""Bytes unpacked, and times that they may be more than packed: numbers with noise pack to half or a tenth."""
-_LONGEST_ARRAY_HEADER = 1 << 16
-"""Bytes that describe an array of numbers take a hundred."""
-
-
 def _check_header(stream: IO[bytes], version: tuple[int, int]) -> None:
     """Raise ValueError for a description that is too long to be one, before it is read."""
     if version != (1, 0):
         length = int.from_bytes(stream.read(4), "little")
-        if length > _LONGEST_ARRAY_HEADER:
+        if length > LONGEST_ARRAY_HEADER:
             raise ValueError(f"its array is described in {length} bytes")
         stream.seek(-4, 1)
 
@@ -106,7 +101,7 @@ class NpzFile(RecordedFile):
         """Raise DriverConfigError for a file that unpacks to what no measurement packs so well."""
         sizes = self._zip.infolist()
         packed, whole = sum(one.compress_size for one in sizes), sum(one.file_size for one in sizes)
-        if whole > _LARGE and whole > _PACKED_WELL * packed:
+        if whole > LARGE_BYTES and whole > PACKED_WELL * packed:
             what = (
                 f"{packed} bytes that unpack to {whole}, {whole // max(packed, 1)} times as many, "
                 "are no measurement"

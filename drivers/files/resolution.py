@@ -2,16 +2,9 @@
 
 import numpy as np
 
+from drivers.files.tuning import CLOSEST, FEW, NEARLY_ALL, ON_GRID, RESOLVED
 from drivers.port import FloatArray
 
-RESOLVED = 1e-9
-"""Of the largest reading: below this a step cannot be told from the rounding of decimal text."""
-ON_GRID, MOST = 0.01, 0.99
-"""Readings are on a grid if nearly all of them are within this share of a step of it."""
-CLOSEST = 50
-"""Differences of neighbouring levels, the smallest, whose common divisor is looked for."""
-FEW = 8
-"""Fewer levels than this are on a grid only if it goes through zero: two are always one length apart."""
 REACHES = (1e5, 1e7, np.inf)
 """Steps from the origin, nearest first, over which a step is made more precise: the farther the more."""
 
@@ -61,4 +54,4 @@ def _refined(step: float, offsets: FloatArray) -> float:
 
 def _fits(step: float, offsets: FloatArray) -> bool:
     multiples = offsets / step
-    return bool(np.mean(np.abs(multiples - np.rint(multiples)) < ON_GRID) > MOST)
+    return bool(np.mean(np.abs(multiples - np.rint(multiples)) < ON_GRID) > NEARLY_ALL)

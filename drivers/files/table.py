@@ -7,8 +7,6 @@ from pathlib import Path
 
 from drivers.port import DriverConfigError, FloatArray, IntArray
 
-BLOCK_ROWS = 65536
-
 Rows = tuple[IntArray | None, FloatArray]
 """Times in ns (n,), or None without time stamps, and values (n, m)."""
 

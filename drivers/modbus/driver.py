@@ -7,12 +7,12 @@ from drivers import clock
 from drivers.fields import ByteArray
 from drivers.modbus.fifo import FifoReader
 from drivers.modbus.frames import BUSY, REFUSED, ReplyError, Request, RtuFrames, TcpFrames
-from drivers.modbus.limits import BUSY_FIRST_S, BUSY_MOST_S, FASTEST_PACED, PATIENCE, ROUNDING_S
 from drivers.modbus.line import ModbusLine, let_go, shared_line
 from drivers.modbus.mode import Reader, RefusedError
 from drivers.modbus.poll import PollReader
 from drivers.modbus.ring import RingReader
 from drivers.modbus.settings import ModbusSettings
+from drivers.modbus.tuning import BUSY_FIRST_S, BUSY_MOST_S, FASTEST_PACED, PATIENCE, ROUNDING_S
 from drivers.modbus.units import LaterError
 from drivers.pipe import serial_pipe, tcp_pipe
 from drivers.port import Driver, DriverIOError, DriverSettings, SampleBlock, SourceRequest
@@ -20,6 +20,7 @@ from drivers.serial_port import SerialKeys, port_hint
 
 READERS: Mapping[str, type[Reader]] = {"ring": RingReader, "poll": PollReader, "fifo": FifoReader}
 _REQUEST_BYTES, _ANSWER_BYTES, _BITS_A_BYTE = 8, 5, 11
+"""Fixed by Modbus over serial line 1.02: a read request, what a reply has beside its data, bits a byte."""
 
 
 class ModbusDriver(Driver):

@@ -9,7 +9,8 @@ from drivers.modbus.settings import ModbusSettings
 from drivers.port import SampleBlock, SourceRequest
 
 _WIDEST = 1 << 62
-"""A counter of more values wraps with the numbers themselves, beyond which its modulus lies."""
+"""Fixed by 64-bit numbers: a counter of more values wraps with the numbers themselves, beyond which its
+modulus lies."""
 
 
 class FifoReader(Reader):

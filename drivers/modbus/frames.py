@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.fields import ByteArray
+from drivers.modbus.tuning import REMEMBERED_REQUESTS
 
 if TYPE_CHECKING:
     from pymodbus.framer.base import FramerBase
@@ -23,17 +24,15 @@ if TYPE_CHECKING:
 
 MAX_REGISTERS = 125
 FIFO = 24
-FIFO_REGISTERS = 31
+FIFO_REGISTERS = 31  # fixed by the Modbus application protocol 1.1b3: read, function 24 and its queue
 BUSY = frozenset({5, 6})
 """Exceptions by which a device asks to be asked later."""
 GATEWAY = frozenset({10, 11})
 """Exceptions by which a gateway says that a unit behind it is silent."""
-ADDRESS, VALUE = 2, 3
+ADDRESS, VALUE = 2, 3  # fixed by the protocol's exception codes
 REFUSED = frozenset({1, ADDRESS, VALUE})
 """Exceptions by which a device says that it will never answer such a request."""
-_LONGEST_TCP = 260
-REMEMBERED = 64
-"""Requests given up whose replies are still known for what they are."""
+_LONGEST_TCP = 260  # fixed by Modbus messaging on TCP/IP 1.0b
 _LOADING = threading.Lock()
 EXCEPTIONS: Mapping[int, str] = {
     1: "illegal function",
@@ -172,7 +171,7 @@ class TcpFrames(Frames):
 
         self._framer: FramerBase = FramerSocket(_decoder())
         self._transaction = 0
-        self._given_up: deque[int] = deque(maxlen=REMEMBERED)
+        self._given_up: deque[int] = deque(maxlen=REMEMBERED_REQUESTS)
 
     def request(self, request: Request) -> bytes:
         """Return the bytes of a request with a transaction number of its own."""

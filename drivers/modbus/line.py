@@ -16,19 +16,20 @@ from weakref import WeakValueDictionary
 
 from drivers import clock
 from drivers.fields import ByteArray
-from drivers.modbus.frames import ADDRESS, FIFO, MAX_REGISTERS, REMEMBERED, VALUE, Frames, ReplyError, Request
-from drivers.modbus.limits import (
+from drivers.modbus.frames import ADDRESS, FIFO, MAX_REGISTERS, VALUE, Frames, ReplyError, Request
+from drivers.modbus.line_lock import LineLock
+from drivers.modbus.tuning import (
     FADE,
     LONGEST_NOISE,
     POLITE_S,
     REMEMBERED_EACH_S,
+    REMEMBERED_REQUESTS,
     REMEMBERED_S,
     ROUNDING_S,
     SHORTEST_S,
     UNANSWERED,
     USUAL,
 )
-from drivers.modbus.line_lock import LineLock
 from drivers.modbus.units import LaterError, Unit
 from drivers.pipe import Pipe
 from drivers.port import DriverConfigError, DriverIOError
@@ -256,7 +257,7 @@ class ModbusLine:
         unit = asked.unit
         if self._pause_s is None:
             self._given_up[self.frames.give_up()] = asked
-            if len(self._given_up) > REMEMBERED:
+            if len(self._given_up) > REMEMBERED_REQUESTS:
                 del self._given_up[next(iter(self._given_up))]
         else:
             unit.lost[request.count] = now

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from drivers import clock
 from drivers.modbus.codec import Ring
-from drivers.modbus.limits import HOPELESS, NEAR, SLOW_S
+from drivers.modbus.tuning import HOPELESS, NEAR, SLOW_S
 from drivers.port import BoolArray
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from drivers import clock
 from drivers.fields import ByteArray, Layout
 from drivers.modbus.frames import ADDRESS, MAX_REGISTERS, VALUE, Request
-from drivers.modbus.limits import GATHER_S
 from drivers.modbus.mode import Ask, Reader, RefusedError
 from drivers.modbus.settings import ModbusField, ModbusSettings
+from drivers.modbus.tuning import GATHER_S
 from drivers.modbus.units import LaterError
 from drivers.port import DriverIOError, SampleBlock, SourceRequest
 

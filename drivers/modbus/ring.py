@@ -10,10 +10,10 @@ from drivers import clock
 from drivers.fields import ByteArray, FieldSpec, Layout
 from drivers.modbus.codec import Ring, slot_layout, slots_of
 from drivers.modbus.frames import Request
-from drivers.modbus.limits import FIRST_S, SHARE
 from drivers.modbus.mode import Ask, Reader
 from drivers.modbus.pace import Carried, Pace
 from drivers.modbus.settings import ModbusSettings
+from drivers.modbus.tuning import FIRST_S, SHARE
 from drivers.port import BoolArray, DriverConfigError, IntArray, SampleBlock, SourceRequest
 
 INDEX = "index"

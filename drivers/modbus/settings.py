@@ -7,11 +7,9 @@ from pydantic import AfterValidator, Field, Strict, model_validator
 
 from drivers.fields import FieldSpec, Order, unique_names
 from drivers.modbus.frames import FIFO_REGISTERS
+from drivers.modbus.tuning import LONGEST_PERIOD_S, POLL_S, RING_S
 from drivers.port import DriverSettings
 
-RING_S, POLL_S = 0.1, 0.02
-LONGEST_PERIOD_S = 86400.0
-"""Default periods: a ring remembers what it is not asked for, and many samples cost hardly more than one."""
 BYTE_ORDERS: Mapping[str, tuple[Order, Order]] = {
     "ABCD": ("big", "big"),
     "CDAB": ("big", "little"),

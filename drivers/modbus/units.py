@@ -17,7 +17,7 @@ answer.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.modbus.limits import (
+from drivers.modbus.tuning import (
     ACTIVE_S,
     FADE,
     FOUND_S,

@@ -13,11 +13,10 @@ import numpy as np
 from drivers.crc import Crc
 from drivers.fields import ByteArray, Layout
 from drivers.port import BoolArray, Counts, FloatArray, IntArray, Trace
+from drivers.serial.tuning import FLUSH_FRAMES
 
 Samples = tuple[FloatArray, IntArray | None]
 """Values (n, m) and counters (n,), or None without a counter."""
-
-_FLUSH_FRAMES = 16
 
 
 class SerialDecoder(ABC):
@@ -65,7 +64,7 @@ class Skipped:
 
     def many(self) -> bool:
         """Tell whether so much is skipped that it should be counted though no good frame has come."""
-        return self.bytes >= _FLUSH_FRAMES * self._size
+        return self.bytes >= FLUSH_FRAMES * self._size
 
     def settle(self) -> None:
         """Count what was skipped. The piece of a frame amid which the line was opened is nobody's sample."""

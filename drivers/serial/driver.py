@@ -8,25 +8,16 @@ from pydantic import AfterValidator, Field, model_validator
 from drivers import clock, crc
 from drivers.fields import FieldSpec, Layout, unique_names
 from drivers.pipe import Pipe, serial_pipe
-from drivers.port import (
-    RETRY_HERE_S,
-    Driver,
-    DriverConfigError,
-    DriverIOError,
-    DriverSettings,
-    SampleBlock,
-    SourceRequest,
-)
+from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSettings, SampleBlock, SourceRequest
 from drivers.serial import patterns
 from drivers.serial.codec import BinaryDecoder, Frame, SerialDecoder
 from drivers.serial.delimited import EndedDecoder
 from drivers.serial.framing import FRAMINGS
 from drivers.serial.text import TextDecoder
+from drivers.serial.tuning import FEW_BYTES, LINE_PERIOD_S
 from drivers.serial_port import SerialKeys, port_hint
+from drivers.tuning import RETRY_HERE_S
 
-_PERIOD_S = 0.05
-"""How often a flowing line is read, unless there was much to read: a read costs what hundreds of bytes do."""
-_FEW_BYTES = 1024
 _DOLLAR_FIRST = re.compile(r"\^?\(?(?:\\\$|\[\$\]|\$)")
 _NMEA = 'with checksum = "nmea" a line is $ADDRESS,cells*HH,'
 
@@ -63,7 +54,7 @@ class SerialSettings(SerialKeys):
     pattern: Annotated[str | None, AfterValidator(_expression)] = None
     checksum: Literal["nmea", "none"] = "none"
     counter_modulus: int | None = Field(default=None, ge=2)
-    period_s: float = Field(default=_PERIOD_S, gt=0, le=_PERIOD_S)
+    period_s: float = Field(default=LINE_PERIOD_S, gt=0, le=LINE_PERIOD_S)
 
     @model_validator(mode="after")
     def _binary_has_its_keys(self) -> Self:
@@ -178,7 +169,7 @@ class SerialDriver(Driver):
         deadline = clock.monotonic() + timeout_s
         clock.sleep(max(0.0, min(self._due, deadline) - clock.monotonic()))
         data = self._pipe.recv(deadline)
-        self._due = clock.monotonic() + self._settings.period_s if 0 < len(data) < _FEW_BYTES else 0.0
+        self._due = clock.monotonic() + self._settings.period_s if 0 < len(data) < FEW_BYTES else 0.0
         values, counter = self._decoder.feed(data)
         return SampleBlock(values, clock.monotonic_ns(), counter)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 _END, _ESCAPE = b"\xc0", b"\xdb"
 _ESCAPED_END, _ESCAPED_ESCAPE = b"\xdb\xdc", b"\xdb\xdd"
-_FULL = 255
+_FULL = 255  # fixed by COBS (Cheshire and Baker 1999): the code of 254 bytes without a zero
 
 
 def cobs(frame: bytes) -> bytes:

@@ -2,8 +2,8 @@
 
 Python's engine tries one way after another through a pattern. Where two ways begin with the same character, a
 line that fits neither is tried both ways; repeats multiply that. `effort` bounds it: the number of ways, as a
-power of two, in which a line of LONGEST characters can be tried. What cannot be bounded by MOST is refused by
-`check`.
+power of two, in which a line of LONGEST characters can be tried. What cannot be bounded by EFFORT is refused
+by `check`.
 """
 
 import importlib
@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from math import log2
 from typing import Any, NamedTuple
 
-LONGEST = 1024
-"""Characters of the longest line that is held against a pattern."""
-MOST = 20.1
-"""Powers of two: two free repeats over a line of 1024 characters, some ten milliseconds."""
-_EVERY = (1 << 256) - 1
+from drivers.serial.tuning import EFFORT, LONGEST
+
+_EVERY = (1 << 256) - 1  # fixed by bytes: one bit for each character there is
 _ADVICE = r"say what lies between the values more narrowly, e.g. [^,]* or \s+ in place of .*"
 
 
@@ -34,7 +32,7 @@ def check(text: str) -> re.Pattern[str]:
         pattern = re.compile(text)
     except re.error as error:
         raise ValueError(f"is no pattern: {error}") from error
-    if effort(text) > MOST:
+    if effort(text) > EFFORT:
         raise ValueError(f"can take very long on a line that does not match: repeats overlap; {_ADVICE}")
     return pattern
 

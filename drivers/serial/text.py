@@ -8,12 +8,9 @@ import numpy as np
 
 from drivers.port import Counts, DriverConfigError, Trace
 from drivers.serial.codec import Samples, SerialDecoder
-from drivers.serial.patterns import LONGEST
+from drivers.serial.tuning import LONGEST, SHOWN_LETTERS
 
 _NUMBER = re.compile(r"[ \t]*(?:(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|NaN|NAN)[ \t]*)?", re.ASCII)
-
-_SHOWN = 60
-"""Characters of a rejected line that a note shows."""
 
 
 class TextDecoder(SerialDecoder):
@@ -91,11 +88,11 @@ class TextDecoder(SerialDecoder):
 
     def _reject(self, reason: str, text: str) -> None:
         self._counts.rejected[reason] += 1
-        self._counts.show_bad(reason, f'"{text[:_SHOWN]}": {self._why(reason, text)}')
+        self._counts.show_bad(reason, f'"{text[:SHOWN_LETTERS]}": {self._why(reason, text)}')
         if reason not in self._noted:
             self._noted.add(reason)
-            more = "..." if len(text) > _SHOWN else ""
-            self._note(f'rejected as "{reason}": {text[:_SHOWN]!a}{more}: {self._why(reason, text)}')
+            more = "..." if len(text) > SHOWN_LETTERS else ""
+            self._note(f'rejected as "{reason}": {text[:SHOWN_LETTERS]!a}{more}: {self._why(reason, text)}')
 
     def _why(self, reason: str, text: str) -> str:
         """Say what a line that is rejected for a reason is not."""

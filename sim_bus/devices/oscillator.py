@@ -12,10 +12,8 @@ import numpy as np
 
 from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.clock import PlayClock
-from sim_bus.rig.trajectory import CHUNK, Chunk, Rig, Trajectory
-
-_MOST_JITTER = 0.45
-"""Of a sample: samples stay in order."""
+from sim_bus.rig.trajectory import Chunk, Rig, Trajectory
+from sim_bus.tuning import CHUNK, MOST_JITTER
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +93,7 @@ class OwnTrajectory(Trajectory):
         index = np.arange(number * CHUNK, (number + 1) * CHUNK)
         pace = self._pace
         jitter = np.clip(
-            pace.jitter_s * pace.rate_hz * self._rng.standard_normal(CHUNK), -_MOST_JITTER, _MOST_JITTER
+            pace.jitter_s * pace.rate_hz * self._rng.standard_normal(CHUNK), -MOST_JITTER, MOST_JITTER
         )
         moment = np.asarray((index + jitter) * pace.stride, dtype=np.float64)
         columns = [

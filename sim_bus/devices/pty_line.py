@@ -7,8 +7,7 @@ import tty
 from pathlib import Path
 
 from sim_bus.errors import SimBusError
-
-_BLOCK = 65536
+from sim_bus.tuning import READ_BYTES
 
 
 class PtyLine:
@@ -80,7 +79,7 @@ class PtyLine:
         """Return what readers have written; b"" for nothing."""
         with self._lock:
             try:
-                return os.read(self._master, _BLOCK)
+                return os.read(self._master, READ_BYTES)
             except OSError:
                 # nothing has come, nobody has the far end open, or the line is hung up
                 return b""

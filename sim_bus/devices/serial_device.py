@@ -20,13 +20,10 @@ from sim_bus.devices.stream import Outlet, Stream
 from sim_bus.devices.wire import Pack, Raw, WireNumber, split
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.rigfile import Source
+from sim_bus.tuning import LINE_LOOK_S, SETTLE_S, STOP_S
 
 ADDRESS = "DKSIM"
 """What stands between $ and the first cell of a line with an NMEA checksum."""
-SETTLE_S = 0.2
-"""Readers discard what has arrived when they set up the line: nothing is sent so soon after it was opened."""
-_STOP_S = 5.0
-_LINE_LOOK_S = 0.005
 
 
 class PtyOutlet(Outlet):
@@ -60,7 +57,7 @@ class SerialDevice(Device):
         self._thread.start()
 
     def _run(self) -> None:
-        while not self._stop.wait(min(self._stream.wait_s(), _LINE_LOOK_S if self._outlet is None else 1.0)):
+        while not self._stop.wait(min(self._stream.wait_s(), LINE_LOOK_S if self._outlet is None else 1.0)):
             self._watch_reader()
             self._stream.step()
 
@@ -96,7 +93,7 @@ class SerialDevice(Device):
     def stop(self) -> None:
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(_STOP_S)
+            self._thread.join(STOP_S)
         self._line.close()
 
     def ledger(self) -> Mapping[str, dict[str, Any]]:

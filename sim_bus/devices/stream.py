@@ -11,11 +11,8 @@ from sim_bus.clock import NS, PlayClock
 from sim_bus.devices.wire import Feed
 from sim_bus.rig.faults import LineFaults
 from sim_bus.rig.ranges import Runs
+from sim_bus.tuning import FAST_ROOM, IDLE_S, LATE_REMEMBERED
 
-FAST_ROOM = 512
-"""Played fast, samples that may wait in a device for its reader."""
-_IDLE_S = 0.05
-_REMEMBERED = 100_000
 Encode = Callable[[int, bytes], bytes]
 """Makes what goes over a line from a sample's number and row."""
 
@@ -25,7 +22,7 @@ class Lateness:
 
     def __init__(self, period_ns: float) -> None:
         self._period_ns = period_ns
-        self._newest: deque[int] = deque(maxlen=_REMEMBERED)
+        self._newest: deque[int] = deque(maxlen=LATE_REMEMBERED)
         self._late = 0
         self._worst = 0
         self._count = 0
@@ -156,13 +153,13 @@ class Stream:
         if any(outlet.pending for outlet in self.outlets):
             return 0.001
         if not self._clock.started.is_set():
-            return _IDLE_S / 10
+            return IDLE_S / 10
         if self._clock.fast:
-            return 0.0 if self.outlets and not self._clock.finished() else _IDLE_S / 10
+            return 0.0 if self.outlets and not self._clock.finished() else IDLE_S / 10
         if self._clock.total is not None and self._next >= self._clock.total:
-            return _IDLE_S
+            return IDLE_S
         due_s = (self._clock.due_ns(self._next) - self._clock.now_ns()) / 1e9
-        return min(_IDLE_S, max(0.0, due_s + self._clock.grain_s))
+        return min(IDLE_S, max(0.0, due_s + self._clock.grain_s))
 
     def next_due_ns(self) -> int:
         """Return when the next sample is taken; never comes what lies beyond the end."""

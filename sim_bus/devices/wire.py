@@ -16,7 +16,8 @@ from sim_bus.errors import SimUsageError
 from sim_bus.rig.covariates.channel import CovariateChannel
 from sim_bus.rig.faults import Strike
 from sim_bus.rig.rigfile import Channel, RigFile, Source
-from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Trajectory
+from sim_bus.rig.trajectory import Chunk, Trajectory
+from sim_bus.tuning import CHUNK, KEPT
 
 NumberArray = IntArray | FloatArray
 Raw = Mapping[str, NumberArray]

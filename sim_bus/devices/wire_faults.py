@@ -8,11 +8,9 @@ from sim_bus.arrays import FloatArray, IntArray
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.fault_names import COUNTERS, NUMBERS
 from sim_bus.rig.faults import Strike
+from sim_bus.tuning import FAR_VALUE, LEAP_SAMPLES
 
 NumberArray = IntArray | FloatArray
-LEAP = 1000
-FAR = 1e6
-"""What a field that is a float shows out of its range."""
 _NOT_FINITE = {"nan": float("nan"), "inf": float("inf")}
 Damage = Callable[[NumberArray], NumberArray]
 
@@ -39,7 +37,7 @@ class NumberFaults:
         if strike.name == "stuck-counter":
             return np.where((index >= strike.first) & (index < strike.end), strike.first - 1, index)
         if strike.name == "counter-jump":
-            return np.where(index >= strike.first, index + LEAP, index)
+            return np.where(index >= strike.first, index + LEAP_SAMPLES, index)
         begins = strike.end if strike.name == "restart" else strike.first
         return np.where(index >= begins, index - begins, index)
 
@@ -61,7 +59,7 @@ def _victim(name: str, tops: Sequence[tuple[str, int | None]]) -> tuple[str, Dam
     field, top = tops[-1]
     if name == "swapped":
         return field, lambda numbers: _swapped(numbers, top)
-    return field, lambda numbers: np.full_like(numbers, FAR if top is None else top)
+    return field, lambda numbers: np.full_like(numbers, FAR_VALUE if top is None else top)
 
 
 def _swapped(numbers: NumberArray, top: int | None) -> NumberArray:

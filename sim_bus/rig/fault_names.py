@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 from drivers.modbus.frames import EXCEPTIONS as KNOWN_EXCEPTIONS
 from drivers.modbus.frames import UNKNOWN_EXCEPTION
+from sim_bus.tuning import FAULT_S
 
-ONE_SAMPLE = 0.0
-SOME_TIME = 0.5
+ONE_SAMPLE = 0.0  # fixed by its meaning: no time, s
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ COUNTERS: Mapping[str, FaultKind] = {
     "stuck-counter": FaultKind("the counter stands still while samples come", "duplicate", 0.02, loses=True),
     "counter-reset": FaultKind("the counter begins at 0 again, without a pause", "restart"),
     "counter-jump": FaultKind("the counter leaps ahead by 1000, and stays there", "gap"),
-    "restart": FaultKind("silence, then the counter begins at 0 again", "restart", SOME_TIME, loses=True),
+    "restart": FaultKind("silence, then the counter begins at 0 again", "restart", FAULT_S, loses=True),
 }
 """What a device that sends its own counter can do with it."""
 
@@ -58,12 +58,12 @@ LINES: Mapping[str, FaultKind] = {
     "corrupt": FaultKind("one bit of the sample is wrong", "crc", loses=True),
     "truncate": FaultKind("the second half of the sample is missing", "stray bytes", loses=True),
     "garbage": FaultKind("rubbish comes before the sample", "sync"),
-    "freeze": FaultKind("nothing is sent", "gap", SOME_TIME, loses=True),
+    "freeze": FaultKind("nothing is sent", "gap", FAULT_S, loses=True),
     "silence": FaultKind("nothing is sent for longer than a source may be silent", "stale", 3.0, loses=True),
-    "stall": FaultKind("everything is sent, but only at the end", "", SOME_TIME),
-    "jitter": FaultKind("samples are sent late, several at once", "", SOME_TIME),
-    "split": FaultKind("the second half of each sample comes with the next one", "", SOME_TIME),
-    "disconnect": FaultKind("the line is gone", "lost", SOME_TIME, timed=True),
+    "stall": FaultKind("everything is sent, but only at the end", "", FAULT_S),
+    "jitter": FaultKind("samples are sent late, several at once", "", FAULT_S),
+    "split": FaultKind("the second half of each sample comes with the next one", "", FAULT_S),
+    "disconnect": FaultKind("the line is gone", "lost", FAULT_S, timed=True),
 }
 """What any line can do to what a device sends by itself."""
 
@@ -71,9 +71,9 @@ BYTES: Mapping[str, FaultKind] = {
     "delete": FaultKind("one byte of the sample is missing", "crc", loses=True),
     "insert": FaultKind("one byte too many lies in the sample", "crc", loses=True),
     "break": FaultKind("32 zeros come before the sample", "sync"),
-    "baud": FaultKind("every byte is another one, as at a wrong bit rate", "sync", SOME_TIME, loses=True),
+    "baud": FaultKind("every byte is another one, as at a wrong bit rate", "sync", FAULT_S, loses=True),
     "stolen": FaultKind(
-        "another program takes a part of each sample from the line", "crc", SOME_TIME, loses=True
+        "another program takes a part of each sample from the line", "crc", FAULT_S, loses=True
     ),
 }
 """What a serial line can do besides."""
@@ -86,14 +86,14 @@ FRAMES: Mapping[str, FaultKind] = {
     "remote": FaultKind("a frame comes that asks for the sample instead of carrying it", "remote frame"),
     "checksum": FaultKind("one bit of the frame's data is wrong; its checksum tells", "checksum", loses=True),
     "error-frame": FaultKind("the controller reports a bus error", "bus error"),
-    "error-warning": FaultKind("the controller sees many errors (adapters)", "error-warning", SOME_TIME),
+    "error-warning": FaultKind("the controller sees many errors (adapters)", "error-warning", FAULT_S),
     "error-passive": FaultKind(
-        "the controller may signal errors no more (adapters)", "error-passive", SOME_TIME
+        "the controller may signal errors no more (adapters)", "error-passive", FAULT_S
     ),
     "overrun": FaultKind(
         "the controller had no room for the sample (adapters)", "controller overflow", loses=True
     ),
-    "bus-off": FaultKind("the controller is off the bus, and comes back", "bus-off", SOME_TIME, loses=True),
+    "bus-off": FaultKind("the controller is off the bus, and comes back", "bus-off", FAULT_S, loses=True),
 }
 """What a CAN bus can do besides."""
 
@@ -106,22 +106,20 @@ _ON_TEXT = {
 EXCEPTIONS: Mapping[int, str] = {**KNOWN_EXCEPTIONS, 85: UNKNOWN_EXCEPTION}
 REPLIES: Mapping[str, FaultKind] = {
     **{
-        f"exception-{code}": FaultKind(f"every answer is {named}", named, SOME_TIME, timed=True)
+        f"exception-{code}": FaultKind(f"every answer is {named}", named, FAULT_S, timed=True)
         for code, named in ((code, f"exception {code} ({words})") for code, words in EXCEPTIONS.items())
     },
-    "busy": FaultKind("every answer is exception 6", "exception 6 (device busy)", SOME_TIME, timed=True),
-    "hang": FaultKind("the registers do not move", "", SOME_TIME, timed=True),
-    "silent": FaultKind("no answer comes", "timeout", SOME_TIME, timed=True),
-    "late": FaultKind("answers come after they were given up", "timeout", SOME_TIME, timed=True),
-    "slow": FaultKind("answers take half of the time that they may take", "", SOME_TIME, timed=True),
-    "dribble": FaultKind("answers come byte by byte", "", SOME_TIME, timed=True),
-    "disconnect": FaultKind("the server is gone", "lost", SOME_TIME, timed=True),
+    "busy": FaultKind("every answer is exception 6", "exception 6 (device busy)", FAULT_S, timed=True),
+    "hang": FaultKind("the registers do not move", "", FAULT_S, timed=True),
+    "silent": FaultKind("no answer comes", "timeout", FAULT_S, timed=True),
+    "late": FaultKind("answers come after they were given up", "timeout", FAULT_S, timed=True),
+    "slow": FaultKind("answers take half of the time that they may take", "", FAULT_S, timed=True),
+    "dribble": FaultKind("answers come byte by byte", "", FAULT_S, timed=True),
+    "disconnect": FaultKind("the server is gone", "lost", FAULT_S, timed=True),
     "reset": FaultKind("the connection is reset in the middle of each answer", "lost", 0.05, timed=True),
-    "hang-up": FaultKind("the connection is closed after each answer", "", SOME_TIME, timed=True),
-    "accept-close": FaultKind("connections are accepted and closed", "lost", SOME_TIME, timed=True),
-    "black-hole": FaultKind(
-        "neither answers come nor new connections about", "timeout", SOME_TIME, timed=True
-    ),
+    "hang-up": FaultKind("the connection is closed after each answer", "", FAULT_S, timed=True),
+    "accept-close": FaultKind("connections are accepted and closed", "lost", FAULT_S, timed=True),
+    "black-hole": FaultKind("neither answers come nor new connections about", "timeout", FAULT_S, timed=True),
     "half-open": FaultKind("the connection is dead and nobody says so", "timeout", 0.05, timed=True),
     "wrong-unit": FaultKind("answers carry another unit's number", "unit", 0.05, timed=True),
     "wrong-transaction": FaultKind(
@@ -139,7 +137,7 @@ REPLIES: Mapping[str, FaultKind] = {
     "garbage": FaultKind("rubbish comes before each answer", "reply", 0.05, timed=True),
     "duplicate": FaultKind("each answer comes twice", "reply", 0.05, timed=True),
     "restart": FaultKind(
-        "no answer, then an empty ring and an index from 0 on", "timeout", SOME_TIME, timed=True
+        "no answer, then an empty ring and an index from 0 on", "timeout", FAULT_S, timed=True
     ),
 }
 """What a Modbus device or its line can do."""

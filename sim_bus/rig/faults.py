@@ -16,12 +16,9 @@ from sim_bus.rig.fault_names import COUNTERS, FRAMES, KNOWN, NUMBERS, FaultKind,
 from sim_bus.rig.ranges import Runs
 from sim_bus.rig.scenario import FaultAt, Scenario
 from sim_bus.rig.schedule import first_sample
+from sim_bus.tuning import GARBAGE_BYTES, JITTER_SHARE, LOSS_SHARE, SHUFFLED_SAMPLES
 
 SENSOR = "sensor"
-LOSS = 0.2
-LATE = 0.9
-SHUFFLED = 50
-_RUBBISH = 24, 40
 _BREAK = bytes(32)
 _PLAIN = FaultKind("", "")
 _NUMBERED = frozenset({*NUMBERS, *COUNTERS})
@@ -140,7 +137,7 @@ class LineFaults:
             data = b""
         data = self._strange(sample, self._damaged(sample, data))
         if self.active("stall", sample) or (
-            self.active("jitter", sample) and float(self._rng.random()) < LATE
+            self.active("jitter", sample) and float(self._rng.random()) < JITTER_SHARE
         ):
             self._late.append(data)
             return b""
@@ -157,7 +154,7 @@ class LineFaults:
     def _is_lost(self, sample: int) -> bool:
         """Tell whether a sample is not sent at all."""
         silent = [self.active(name, sample) for name in ("freeze", "silence", "drop", "restart")]
-        unlucky = bool(self._hit("loss", sample)) and float(self._rng.random()) < LOSS
+        unlucky = bool(self._hit("loss", sample)) and float(self._rng.random()) < LOSS_SHARE
         return any(silent) or (unlucky and self.active("loss", sample))
 
     def _damaged(self, sample: int, data: bytes) -> bytes:
@@ -178,7 +175,7 @@ class LineFaults:
             "baud": lambda data: self._rng.bytes(len(data)),
             "stolen": self._without_a_part,
             "duplicate": lambda data: data * 2,
-            "garbage": lambda data: self._rng.bytes(int(self._rng.integers(*_RUBBISH))) + data,
+            "garbage": lambda data: self._rng.bytes(int(self._rng.integers(*GARBAGE_BYTES))) + data,
             "break": lambda data: _BREAK + data,
         }
 
@@ -221,7 +218,7 @@ class LineFaults:
     def _in_order(self, sample: int, data: bytes) -> bytes:
         if self.active("shuffle", sample):
             self._pool.append((sample, data))
-            return self._shuffled() if len(self._pool) == SHUFFLED else b""
+            return self._shuffled() if len(self._pool) == SHUFFLED_SAMPLES else b""
         ready = self._shuffled() + self._out(sample, data) if self._pool else b""
         earlier, self._swapped = self._swapped, None
         if earlier is None and self.active("reorder", sample):

@@ -21,10 +21,10 @@ from scipy.linalg import expm
 
 from sim_bus.arrays import FloatArray
 from sim_bus.rig.domains.built import LinearMotion
+from sim_bus.tuning import LIFTED_STATES
 
 Hold = Literal["first", "zero"]
 GROUND = "ground"
-_LIFTED_STATES = 128
 
 
 class PlantError(ValueError):
@@ -167,7 +167,7 @@ class Step:
         B1 u_(k+1) onto the L states that follow the block's first.
         """
         n = len(self.A)
-        length = max(4, _LIFTED_STATES // n)
+        length = max(4, LIFTED_STATES // n)
         powers = [np.eye(n)]
         for _ in range(length):
             powers.append(self.A @ powers[-1])
@@ -210,7 +210,7 @@ def propagate(steps: Step, start: FloatArray, forces: FloatArray) -> FloatArray:
     states[0] = start
     pushes = forces[:-1] @ steps.B0.T + forces[1:] @ steps.B1.T
     done = 0
-    if count >= _LIFTED_STATES:
+    if count >= LIFTED_STATES:
         done = _propagate_blocks(steps, states, pushes)
     for k in range(done, count):
         states[k + 1] = steps.A @ states[k] + pushes[k]

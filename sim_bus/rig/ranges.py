@@ -3,12 +3,11 @@
 import numpy as np
 
 from sim_bus.arrays import IntArray
-
-MOST = 10_000
+from sim_bus.tuning import MOST_RUNS
 
 
 class Runs:
-    """Sample numbers that only grow, as runs; beyond MOST runs only the number of samples is kept on."""
+    """Sample numbers that only grow, as runs; beyond MOST_RUNS runs only the number of samples is kept on."""
 
     def __init__(self) -> None:
         self._runs: list[tuple[int, int]] = []
@@ -19,7 +18,7 @@ class Runs:
         self.samples += last - first + 1
         if self._runs and first <= self._runs[-1][1] + 1:
             self._runs[-1] = (self._runs[-1][0], max(last, self._runs[-1][1]))
-        elif len(self._runs) < MOST:
+        elif len(self._runs) < MOST_RUNS:
             self._runs.append((first, last))
 
     def add_each(self, index: IntArray) -> None:

@@ -16,6 +16,7 @@ from sim_bus.rig.linear import Linear, LinearSystem, with_numbers
 from sim_bus.rig.plant import GROUND, Graph, Hold, Link, PlantError
 from sim_bus.rig.units import si_factor
 from sim_bus.tables import Part
+from sim_bus.tuning import SLOW_HZ
 
 Quantity = Literal[
     "force", "displacement", "velocity", "acceleration", "input", "output",
@@ -25,8 +26,6 @@ _PLAYED = (
     "the simulator plays what stands there: give the value that the machine is to have, or let "
     "`deltak identify CONFIG RECORDING --write` find it from a recording"
 )
-SLOW_HZ = 1.0
-"""How often a device of covariates alone samples where nothing says so (and no faster than the rig)."""
 System = Graph | LinearSystem | DomainSystem
 """What moves: places where it is pushed, states, parameters."""
 ModelType = TypeVar("ModelType", bound=BaseModel)

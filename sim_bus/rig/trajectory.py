@@ -22,11 +22,7 @@ from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.schedule import Timeline
 from sim_bus.rig.sensors import SensorChain, noise_for
 from sim_bus.rig.wear import WearPath
-
-CHUNK = 1024
-KEPT = 160
-"""Chunks kept for devices: the largest ring and the widest lag between devices fit."""
-_PREPARED = 64
+from sim_bus.tuning import CHUNK, KEPT, PREPARED
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +176,7 @@ class Rig:
         values = self.timeline.values(index)
         key = tuple(values.values())
         if key not in self._prepared:
-            if len(self._prepared) >= _PREPARED:
+            if len(self._prepared) >= PREPARED:
                 self._prepared.clear()
             motion = self.graph.equations(values)
             self._prepared[key] = Signals(motion, self._places, 1.0 / self._rate, self.hold, self._parts)

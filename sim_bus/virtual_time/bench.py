@@ -23,9 +23,10 @@ from sim_bus.player import ledger_of
 from sim_bus.rig.faults import check, strikes
 from sim_bus.rig.rigfile import RigFile, read_rig
 from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario, scenario_path
-from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
+from sim_bus.rig.trajectory import Rig, Trajectory
 from sim_bus.rig.truth import TruthRecorder
-from sim_bus.virtual_time.played import START_NS, Line, ModbusLine, PlayedSource, PlayedTime, StreamLine
+from sim_bus.tuning import CHUNK, START_NS
+from sim_bus.virtual_time.played import Line, ModbusLine, PlayedSource, PlayedTime, StreamLine
 
 
 class PlayedBench:

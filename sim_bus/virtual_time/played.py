@@ -18,14 +18,7 @@ from sim_bus.devices.modbus.answers import Answers
 from sim_bus.devices.modbus.faults import Framing, ReplyFaults
 from sim_bus.devices.modbus.units import Unit
 from sim_bus.devices.stream import Outlet, Stream
-
-START_NS = 1_000_000_000
-"""When sample 0 is taken."""
-LEAD_NS = 10_000_000
-"""How long before that the readers may come."""
-ANSWER_S = 0.0005
-"""How long a device thinks about a request."""
-_LISTEN_NS = 1_000_000
+from sim_bus.tuning import ANSWER_S, LEAD_NS, LISTEN_NS, START_NS
 
 
 class PlayedTime:
@@ -227,7 +220,7 @@ class ModbusLine(Line):
         return data
 
     def next_ns(self) -> int:
-        return self._coming[0][0] if self._coming else self._time.now_ns + _LISTEN_NS
+        return self._coming[0][0] if self._coming else self._time.now_ns + LISTEN_NS
 
     def ledger(self) -> Mapping[str, dict[str, Any]]:
         return {self._unit.source: {"bus": "played", **self._unit.ledger()}}

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario
-from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
+from sim_bus.rig.trajectory import Rig, Trajectory
+from sim_bus.tuning import CHUNK
 from tests.peers import ROOT
 
 EXAMPLES = ROOT / "deploy" / "examples"

@@ -31,7 +31,10 @@ def floors() -> dict[str, int]:
 
 
 def rooms(graph: Graph, depth: int) -> Graph:
-    """Return which rooms, named to a depth, import which others; files beside whole rooms are rooms too."""
+    """Return which rooms, named to a depth, import which others.
+
+    Files beside whole rooms are rooms too, and so are tables of tuned numbers, which import nothing.
+    """
     packages = {name for name in graph if (ROOT / Path(*name.split("."))).is_dir()}
     found: dict[str, set[str]] = {}
     for name, imported in graph.items():
@@ -42,7 +45,8 @@ def rooms(graph: Graph, depth: int) -> Graph:
 
 def _room(name: str, packages: set[str], depth: int) -> str:
     package = name if name in packages else name.rpartition(".")[0]
-    return name if package in PACKAGES else ".".join(package.split(".")[:depth])
+    is_apart = package in PACKAGES or name.endswith(".tuning")
+    return name if is_apart else ".".join(package.split(".")[:depth])
 
 
 def circles(graph: Graph) -> list[list[str]]:

@@ -1,6 +1,7 @@
 """A name of a number means one thing in its package, so that a reader who has met it knows it."""
 
 import ast
+import re
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
@@ -9,14 +10,20 @@ from pathlib import Path
 from tests.lint.density import PACKAGES
 from tests.peers import ROOT
 
-ROOMS_OF_THEIR_OWN = "agent/numerics"
-"""Its rooms are packages to a reader: each has its table (`tuning.py`, `constants.py`)."""
+TABLE = "tuning.py"
+"""File of a package's tuned numbers."""
+PACKAGE_DEPTH = {"agent/numerics": 3, "agent": 2, "drivers": 2, "sim_bus": 1}
+"""Folders of a package's path below each of these; the numerics' rooms are packages to a reader."""
+FIXED = re.compile(r"fixed by \w+", re.IGNORECASE)
+"""Says who has fixed a number that is not tuned: a standard, a format, an operating system, a definition."""
+UNSORTED = ("agent",)
+"""Packages whose numbers are not sorted yet."""
 
 
 def package_of(file: Path) -> str:
     parts = file.relative_to(ROOT).parent.parts
-    own = "/".join(parts[:2]) == ROOMS_OF_THEIR_OWN
-    return "/".join(parts[: 3 if own else 2])
+    depth = next(depth for top, depth in PACKAGE_DEPTH.items() if "/".join(parts).startswith(top))
+    return "/".join(parts[:depth])
 
 
 def numbers(source: str) -> Iterator[tuple[str, str]]:
@@ -57,6 +64,49 @@ def meanings() -> dict[tuple[str, str], dict[str, list[str]]]:
 def test_constants_a_name_never_means_two_numbers_in_a_package() -> None:
     twice = {key: dict(values) for key, values in meanings().items() if len(values) > 1}
     assert twice == {}
+
+
+def loose(source: str) -> set[str]:
+    """Return the numbers at a module's top of which nothing says who has fixed them.
+
+    What is said behind a number or in the string below it holds also for those in the lines before it.
+    """
+    found: set[str] = set()
+    waiting: set[str] = set()
+    lines = source.splitlines()
+    following = [*ast.parse(source).body[1:], None]
+    for node, after in zip(ast.parse(source).body, following, strict=True):
+        waiting |= {name for name, _ in numbers(ast.unparse(node))}
+        words = lines[node.end_lineno - 1].partition("#")[2]
+        if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            words += str(after.value.value)
+        is_over = bool(words) or after is None or after.lineno > (node.end_lineno or 0) + 1
+        if is_over and not FIXED.match(words.strip()):
+            found |= waiting
+        if is_over:
+            waiting = set()
+    return found
+
+
+def test_constants_that_are_tuned_stand_in_the_table_of_their_package() -> None:
+    files = (file for package in PACKAGES for file in (ROOT / package).rglob("*.py") if file.name != TABLE)
+    sorted_ones = (file for file in files if not package_of(file).startswith(UNSORTED))
+    found = {file: loose(file.read_text(encoding="utf-8")) for file in sorted_ones}
+    assert {file.relative_to(ROOT).as_posix(): names for file, names in found.items() if names} == {}
+
+
+def test_constants_have_one_table_a_package() -> None:
+    tables = [file for package in PACKAGES for file in (ROOT / package).rglob(TABLE)]
+    below = [file for file in tables if package_of(file) != file.parent.relative_to(ROOT).as_posix()]
+    assert [file for file in below if not package_of(file).startswith(UNSORTED)] == []
+    names = {file: [name for name, _ in numbers(file.read_text(encoding="utf-8"))] for file in tables}
+    assert [file for file, found in names.items() if len(found) != len(set(found))] == []
+    assert [file for file in tables if "import" in file.read_text(encoding="utf-8")] == []
+
+
+def test_constants_fixed_by_others_may_stand_at_a_modules_top() -> None:
+    source = 'A = 1  # fixed by linux/can.h\nB = 2\nC = 3\n"""Fixed by ISO 1."""\nD = 4\n\nE = 5  # s\n'
+    assert loose(source) == {"D", "E"}
 
 
 def test_constants_of_tables_are_seen() -> None:

@@ -13,18 +13,18 @@ from functools import cache
 import numpy as np
 
 from drivers.can.codec.frames import FRAME, Frames, no_frames
+from drivers.can.tuning import CALL_FRAMES
 from drivers.port import IntArray
 
-_MOST = 1024
 _SO_TIMESTAMPNS = 35
-_SO_RXQ_OVFL = 40
+_SO_RXQ_OVFL = 40  # fixed by asm-generic/socket.h
 _CONTROL = np.dtype([
     ("length", "u8"), ("level", "i4"), ("kind", "i4"), ("seconds", "i8"), ("nanoseconds", "i8"),
     ("length2", "u8"), ("level2", "i4"), ("kind2", "i4"), ("lost", "u4"), ("rest", "u1", 12),
 ])  # fmt: skip
 """The kernel's control messages of one frame on 64-bit machines: the time stamp, then the count of lost
 frames where there are any."""
-_WITH_LOST = 52
+_WITH_LOST = 52  # fixed by the kernel: bytes of both messages, of which the second is not padded
 
 
 class _Vector(ctypes.Structure):
@@ -70,7 +70,7 @@ class BatchReceiver:
         lost: the kernel's count, so far, of frames that it had no room for; 32 bits, wrapping.
     """
 
-    def __init__(self, descriptor: int, most: int = _MOST) -> None:
+    def __init__(self, descriptor: int, most: int = CALL_FRAMES) -> None:
         self.lost = 0
         self._call = _library().recvmmsg
         self._descriptor = descriptor

@@ -24,15 +24,13 @@ from drivers.can.codec.frames import (
     pack_frame,
 )
 from drivers.can.codec.python_can import import_lean
+from drivers.can.tuning import CONNECT_S, READ_FRAMES
 from drivers.pipe import tcp_pipe
 from drivers.port import Counts, DriverConfigError, DriverIOError, DriverSettings
 
 if TYPE_CHECKING:
     import can
 
-MOST = 4096
-"""Frames that are taken at once."""
-_CONNECT_S = 2.0
 
 Filters = tuple[tuple[int, int], ...]
 """(number, mask) each: frames whose identifier, flag bits included, equals number within mask are wanted."""
@@ -80,7 +78,7 @@ class DaemonBus(CanBus):
 
     def __init__(self, keys: BusKeys, counts: Counts) -> None:
         self._counts = counts
-        self._pipe = tcp_pipe(keys.host, keys.port, _CONNECT_S)
+        self._pipe = tcp_pipe(keys.host, keys.port, CONNECT_S)
         self._text = DaemonText()
         self._channel = keys.channel
         try:
@@ -94,7 +92,7 @@ class DaemonBus(CanBus):
     def _expect(self, answer: bytes, command: bytes) -> None:
         if command:
             self._pipe.send("socketcand", command)
-        deadline = clock.monotonic() + _CONNECT_S
+        deadline = clock.monotonic() + CONNECT_S
         got = b""
         while answer not in got:
             more = self._pipe.recv(deadline)
@@ -153,7 +151,7 @@ class PythonCanBus(CanBus):
         times: list[float] = []
         wait = max(0.0, deadline - clock.monotonic())
         try:
-            while len(rows) < MOST and (message := self._bus.recv(0.0 if rows else wait)) is not None:
+            while len(rows) < READ_FRAMES and (message := self._bus.recv(0.0 if rows else wait)) is not None:
                 rows.append(message_row(message))
                 times.append(message.timestamp)
         except self._errors as error:

@@ -9,15 +9,15 @@ import numpy as np
 
 from drivers import clock
 from drivers.can.bus.batch import BatchReceiver, batches_work
-from drivers.can.bus.bus import MOST, BusKeys, CanBus, Filters
+from drivers.can.bus.bus import BusKeys, CanBus, Filters
 from drivers.can.codec.frames import ERROR, Frames, frames_of, joined, no_frames
+from drivers.can.tuning import READ_FRAMES, RECEIVE_BYTES
 from drivers.port import Counts, DriverIOError
 
-_RECEIVE_BUFFER = 4 << 20
 _CAN_RAW_ERR_FILTER = 2
 _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
-_SO_RXQ_OVFL = 40
+_SO_RXQ_OVFL = 40  # fixed by linux/can/raw.h and asm-generic/socket.h
 _TIMESPEC = struct.Struct("@qq")
 
 
@@ -66,9 +66,9 @@ class KernelBus(CanBus):
 
     def _widen_buffer(self) -> None:
         """Ask for room for seconds of frames; without the right, the kernel's limit (rmem_max) stands."""
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
         with suppress(PermissionError):
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BYTES)
 
     def frames(self, deadline: float) -> Frames:
         if self._failure is not None:
@@ -82,7 +82,7 @@ class KernelBus(CanBus):
     def _in_batches(self, receiver: BatchReceiver) -> Frames:
         frames = no_frames()
         try:
-            while len(frames) < MOST and len(more := receiver.receive()):
+            while len(frames) < READ_FRAMES and len(more := receiver.receive()):
                 frames = joined(frames, more)
         except OSError as error:
             self._fail(error)
@@ -93,7 +93,7 @@ class KernelBus(CanBus):
         rows: list[bytes] = []
         times: list[int] = []
         try:
-            while len(rows) < MOST:
+            while len(rows) < READ_FRAMES:
                 data, extra, _, _ = self._socket.recvmsg(72, 128)
                 rows.append(data.ljust(80, b"\0"))
                 times.append(self._ancillary(extra))

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from drivers import write_gate
 from drivers.can.bus.bus import BusKeys
+from drivers.can.tuning import KERNEL_ANSWER_S
 
 _GET_LINK, _REQUEST = 18, 1
 _NAME, _MTU, _INFO = 3, 4, 18
 _KIND, _DATA = 1, 2
 _BITTIMING, _STATE, _MODE, _RESTART = 1, 4, 5, 6
 _LISTEN_ONLY = 0x02
-_FD_MTU = 72
-_ANSWER_S = 1.0
+_FD_MTU = 72  # fixed by linux/rtnetlink.h, if_link.h, can.h and can/netlink.h
 _NOT_HERE = frozenset({"socketcand", "slcan", "virtual", "udp_multicast"})
 """Buses whose controller is another machine's or the adapter's matter, or that have none."""
 STATES = ("error-active", "error-warning", "error-passive", "bus-off", "stopped", "sleeping")
@@ -45,7 +45,7 @@ def look(name: str) -> Link | None:
     """Return how an interface is set up; None where it is not there or the kernel cannot be asked."""
     try:
         with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as asked:
-            asked.settimeout(_ANSWER_S)
+            asked.settimeout(KERNEL_ANSWER_S)
             write_gate.send("netlink", asked, question(name))
             return read_answer(asked.recv(1 << 16))
     except (AttributeError, OSError):

@@ -12,6 +12,7 @@ from drivers import clock
 from drivers.can.bus.bus import BusKeys, CanBus
 from drivers.can.bus.slcan_text import SlcanText
 from drivers.can.codec.frames import Frames
+from drivers.can.tuning import ADAPTER_ANSWER_S
 from drivers.pipe import Pipe, serial_pipe
 from drivers.port import Counts, DriverConfigError, DriverIOError
 from drivers.serial_port import SerialKeys
@@ -20,7 +21,6 @@ BITRATES = {
     10_000: b"S0", 20_000: b"S1", 50_000: b"S2", 100_000: b"S3", 125_000: b"S4",
     250_000: b"S5", 500_000: b"S6", 800_000: b"S7", 1_000_000: b"S8",
 }  # fmt: skip
-_ADAPTER_ANSWER_S = 0.3
 _ANSWER = re.compile(rb"[\r\a]")
 
 
@@ -63,7 +63,7 @@ class SlcanBus(CanBus):
     def _ask(self, command: bytes) -> bytes:
         """Return how the adapter answers a command: a carriage return, a bell, or nothing (some never do)."""
         self._pipe.send("slcan", command + b"\r")
-        deadline = clock.monotonic() + _ADAPTER_ANSWER_S
+        deadline = clock.monotonic() + ADAPTER_ANSWER_S
         while data := self._pipe.recv(deadline):
             if answer := _ANSWER.search(data):
                 return answer[0]

@@ -25,9 +25,9 @@ from drivers.can.codec.frames import (
 from drivers.port import Counts, IntArray
 
 WRAP_MS = 60_000
-"""Where adapters' time stamps of 16 bits begin anew."""
+"""Fixed by LAWICEL CAN232: where adapters' time stamps of 16 bits begin anew."""
 REFUSED = "adapter refuses"
-_LONGEST = 160
+_LONGEST = 160  # fixed by the longest line, of an FD frame with its time stamp, 64 bytes in hexadecimal
 _LINE = re.compile(rb"([^\r\a]*)([\r\a])")
 _FRAME = re.compile(
     rb"(?:([trdb])([0-7][0-9A-Fa-f]{2})|([TRDBx])([01][0-9A-Fa-f]{7}))([0-9A-Fa-f])((?:[0-9A-Fa-f]{2})*)"
@@ -37,7 +37,7 @@ _ERRORS = re.compile(rb"e([1-9])([abBcfoOs]{1,9})")
 _STATUS = re.compile(rb"F([0-9A-Fa-f]{2})")
 _OTHER = re.compile(rb"|[zZ]|V[0-9A-Fa-f]{4}|v[0-9A-Fa-f]{1,4}|N[0-9A-Za-z]{4}")
 _LETTERS, _FD_LETTERS = b"tTrRxdDbB", b"dDbB"
-_LONGEST_HEAD = 10
+_LONGEST_HEAD = 10  # fixed by letter, identifier and length of an extended frame
 _HEAD = re.compile(rb"(?:[trdb][0-9A-Fa-f]{3}|[TRDBx][0-9A-Fa-f]{8})([0-9A-Fa-f])")
 _STATES = {b"a": 0x40, b"w": 0x0C, b"p": 0x30}
 _STATUS_BITS = {

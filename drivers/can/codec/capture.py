@@ -37,8 +37,8 @@ from drivers.can.codec.frames import (
 from drivers.port import Capture, Driver, DriverConfigError, IntArray, SampleBlock
 
 _BIT_RATE_AND_STATE = 0x03
-_FD = 0x07
-_LONGEST_NAME = 15
+_FD = 0x07  # fixed by linux/can.h
+_LONGEST_NAME = 15  # fixed by IFNAMSIZ of linux/if.h
 
 
 class CanCapture(Driver):

@@ -18,7 +18,7 @@ from drivers.port import BoolArray, DriverConfigError, FloatArray, IntArray
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
-_J1939_BROADCAST = 0xF0
+_J1939_BROADCAST = 0xF0  # fixed by SAE J1939-21: from this PDU format on a message is to all
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.can.codec.frames import ERROR, FrameTable
+from drivers.can.tuning import AGAIN_NS
 from drivers.port import Counts, IntArray
 
 BUS_OFF = "bus-off"
@@ -30,9 +31,9 @@ _CLASSES = {
     0x080: "bus error",
     0x100: RESTARTED,
 }
-_CONTROLLER = 0x004
+_CONTROLLER = 0x004  # fixed by linux/can/error.h
 _CONTROLLER_BITS = {0x03: OVERFLOW, 0x0C: WARNING, 0x30: PASSIVE, 0x40: ACTIVE}
-_COUNTERS = 0x200
+_COUNTERS = 0x200  # fixed by linux/can/error.h
 _STATES = {
     BUS_OFF: (
         "the controller has left the bus after too many errors of its own; it returns when it is restarted"
@@ -44,7 +45,6 @@ _STATES = {
     ACTIVE: "the controller is sound again",
     RESTARTED: "the controller was restarted after bus-off",
 }
-_AGAIN_NS = 60_000_000_000
 
 
 def names_of(identifier: int, controller: int) -> list[str]:
@@ -95,7 +95,7 @@ class ErrorWatch:
                 self._report(name, f"{self._bus}: {name}: {_STATES[name]}{counters}")
             self._state = ACTIVE if name == RESTARTED else name
         elif name != PLAIN:
-            if t_ns - self._seen_ns.get(name, -_AGAIN_NS) >= _AGAIN_NS:
+            if t_ns - self._seen_ns.get(name, -AGAIN_NS) >= AGAIN_NS:
                 self._report(name, f"{self._bus}: {name}{counters}")
             self._seen_ns[name] = t_ns
 

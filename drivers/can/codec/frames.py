@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.can.tuning import SHOWN_BYTES
 from drivers.port import IntArray
 
 EXTENDED = 0x80000000
@@ -15,9 +16,9 @@ REMOTE = 0x40000000
 ERROR = 0x20000000
 FD_FLAG = 0x04
 STANDARD_MASK = 0x7FF
-EXTENDED_MASK = 0x1FFFFFFF
+EXTENDED_MASK = 0x1FFFFFFF  # fixed by linux/can.h
 MOST_SECONDS = 9_000_000_000
-"""A time stamp beyond does not fit into 64 bits of nanoseconds."""
+"""Fixed by 64 bits: a time stamp beyond does not fit into 64 bits of nanoseconds."""
 FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 FRAME = np.dtype(
@@ -109,7 +110,7 @@ class DaemonText:
         strange = whole.count(b">") - known
         if strange:
             self.bad += strange
-            self.shown = (_SOCKETCAND.sub(b"", whole).strip() or whole)[:_SHOWN].decode("latin-1")
+            self.shown = (_SOCKETCAND.sub(b"", whole).strip() or whole)[:SHOWN_BYTES].decode("latin-1")
         return frames_of(rows, np.array(times, np.int64)) if rows else no_frames()
 
     def _add(self, match: re.Match[bytes], rows: list[bytes], times: list[int]) -> bool:
@@ -130,7 +131,7 @@ class DaemonText:
 
 
 _LONGEST_MESSAGE = 400
-_SHOWN = 80
+"""Fixed by socketcand's longest message, of an FD frame, and room to find where the next begins."""
 _ERROR_CLASS = re.compile(rb"< *error ([0-9A-Fa-f]{1,8}) \d")
 
 

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.can.tuning import LATE_BEFORE_RESTART, PENDING_SAMPLES
 from drivers.port import Counts, FloatArray, IntArray
-
-_PENDING = 64
-_LATE_BEFORE_RESTART = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +125,7 @@ class Joiner:
         if self._is_late(int(rest[0])):
             late = rest <= (self._emitted or 0)
             run = len(rest) if late.all() else int(np.argmin(late))
-            return start + min(run, _LATE_BEFORE_RESTART + 1 - self._late)
+            return start + min(run, LATE_BEFORE_RESTART + 1 - self._late)
         # ... and others as long as they grow: the second of two alike replaces the first
         fall = np.diff(rest) <= 0
         return start + (int(np.argmax(fall)) + 1 if fall.any() else len(rest))
@@ -150,7 +148,7 @@ class Joiner:
     def _count_late(self, keys: IntArray) -> None:
         self._counts.faults["late part"] += len(keys)
         self._late += len(keys)
-        if self._late > _LATE_BEFORE_RESTART:
+        if self._late > LATE_BEFORE_RESTART:
             self._note("the counters ran back and stayed there: the device was restarted")
             self._epoch += 1
             self.restart()
@@ -164,7 +162,7 @@ class Joiner:
         keys = self._pending.keys
         seen = [newest for newest in self._newest if newest is not None]
         final = int(np.searchsorted(keys, min(seen), side="right")) if len(seen) == self._parts else 0
-        return self._release(max(final, len(keys) - _PENDING))
+        return self._release(max(final, len(keys) - PENDING_SAMPLES))
 
     def _release(self, whole: int) -> Decoded:
         if whole <= 0:

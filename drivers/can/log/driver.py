@@ -17,6 +17,7 @@ from drivers.can.driver import DbcDriver
 from drivers.can.log.interfaces import channel_of, shown, wire_of
 from drivers.can.log.text import candump_block
 from drivers.can.log.unmatched import UnmatchedFrames
+from drivers.can.tuning import LOG_BYTES, LOG_FRAMES
 from drivers.port import DriverConfigError, DriverIOError, DriverSettings, SampleBlock
 from drivers.timestamps import seconds_to_ns
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     import can
 
 SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
-_BLOCK = 16384
-_BYTES = 1 << 20
 
 
 class CanLogSettings(FrameKeys):
@@ -179,7 +178,7 @@ def _batches(messages: "Iterable[can.Message]") -> "Iterator[list[can.Message]]"
     try:
         for message in messages:
             batch.append(message)
-            if len(batch) == _BLOCK:
+            if len(batch) == LOG_FRAMES:
                 yield batch
                 batch = []
     except Exception:
@@ -208,9 +207,9 @@ def _channels(path: Path, kind: str) -> Iterator[str]:
 def _whole_lines(file: IO[bytes]) -> Iterator[bytes]:
     """Yield a file in pieces that end where a line ends; a line that never ends is cut."""
     rest = b""
-    while block := file.read(_BYTES):
+    while block := file.read(LOG_BYTES):
         cut = block.rfind(b"\n") + 1
-        if cut or len(rest) > _BYTES:
+        if cut or len(rest) > LOG_BYTES:
             yield rest + block[:cut]
             rest = block[cut:]
         else:

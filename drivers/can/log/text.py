@@ -20,13 +20,12 @@ from drivers.can.codec.frames import (
     FrameTable,
     candump_row,
 )
+from drivers.can.tuning import FEW_OF_A_SHAPE
 from drivers.fields import ByteArray
 from drivers.port import BoolArray, IntArray
 
 _NEWLINE, _SPACE, _HASH, _OPEN, _CLOSE, _POINT = b"\n #()."
-_FEW_OF_A_SHAPE = 8
-"""Lines of a shape of which there are fewer are cheaper read one by one."""
-_NO_DIGIT = 99
+_NO_DIGIT = 99  # fixed by this table: marks what is no hexadecimal digit
 _DIGITS = np.full(256, _NO_DIGIT, np.uint8)
 for _value, _digit in enumerate(b"0123456789abcdef"):
     _DIGITS[_digit] = _DIGITS[ord(chr(_digit).upper())] = _value
@@ -72,7 +71,7 @@ def candump_block(text: bytes, wire: bytes | None = None) -> tuple[Frames, list[
     table, t_ns, read = np.zeros(count, FRAME), np.zeros(count, np.int64), np.zeros(count, np.bool_)
     shapes = lines.shapes()
     for shape, first, many in zip(*np.unique(shapes, return_index=True, return_counts=True), strict=True):
-        if shape >= 0 and many >= _FEW_OF_A_SHAPE:
+        if shape >= 0 and many >= FEW_OF_A_SHAPE:
             rows = None if many == count else np.flatnonzero(shapes == shape)
             _read_shape(lines, rows, int(first), (table, t_ns, read))
     bad = _read_alone(text, lines, (table, t_ns, read))

@@ -7,9 +7,7 @@ import numpy as np
 
 from drivers.can.codec.database import MessageCodec
 from drivers.can.codec.frames import ERROR, EXTENDED, EXTENDED_MASK, STANDARD_MASK, FrameTable
-
-_NAMED = 5
-"""Identifiers that are named, those seen most often first."""
+from drivers.can.tuning import NAMED_IDS
 
 
 class UnmatchedFrames:
@@ -25,7 +23,7 @@ class UnmatchedFrames:
 
     def words(self, messages: Sequence[MessageCodec]) -> str:
         """Say how many frames there are, which are seen most often, and the messages that are looked for."""
-        often = ", ".join(f"{_digits(number)} ({n} times)" for number, n in self._seen.most_common(_NAMED))
+        often = ", ".join(f"{_digits(number)} ({n} times)" for number, n in self._seen.most_common(NAMED_IDS))
         looked = ", ".join(f"{message.name} ({_pattern(message)})" for message in messages)
         return (
             f"none of its {self._seen.total()} frames fits: most often seen are {often}; "

@@ -16,8 +16,7 @@ from sim_bus.devices.pty_line import PtyLine
 from sim_bus.devices.stream import Stream
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.fault_names import FRAMES
-
-_STOP_S = 5.0
+from sim_bus.tuning import STOP_S
 
 
 class BusDevice(Device):
@@ -49,7 +48,7 @@ class BusDevice(Device):
     def stop(self) -> None:
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join(_STOP_S)
+            self._thread.join(STOP_S)
         self._outlet.close()
 
     def ledger(self) -> Mapping[str, dict[str, Any]]:

@@ -15,12 +15,12 @@ from can.interfaces.virtual import channels
 from sim_bus.devices.can.packing import FrameKind
 from sim_bus.devices.stream import Outlet
 from sim_bus.errors import SimBusError
+from sim_bus.tuning import REOPEN_S
 
-_EXTENDED = 0x80000000
-_CLASSIC, _FD = 16, 72
+_EXTENDED = 0x80000000  # fixed by linux/can.h
+_CLASSIC, _FD = 16, 72  # fixed by linux/can.h
 _CAN_HEAD = struct.Struct("=IB3x")
 _LISTENERS = Path("/proc/net/can")
-_REOPEN_S = 0.1
 
 
 class KernelFrames:
@@ -127,7 +127,7 @@ class KernelOutlet(FrameOutlet):
     def _reopened(self) -> bool:
         if time.monotonic() < self._retry_at:
             return False
-        self._retry_at = time.monotonic() + _REOPEN_S
+        self._retry_at = time.monotonic() + REOPEN_S
         try:
             self._socket = self._opened()
         except OSError:

@@ -16,12 +16,12 @@ from drivers.can.codec.signals import SignalCodec
 from sim_bus.devices.wire import NumberArray, Raw, WireNumber
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.rigfile import Source
-from sim_bus.rig.trajectory import CHUNK
+from sim_bus.tuning import CHUNK
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
-FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
+FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)  # fixed by ISO 11898-1
 _FLOATS = {32: (np.float32, np.uint32), 64: (np.float64, np.uint64)}
 
 

@@ -13,7 +13,7 @@ from sim_bus.devices.stream import Stream
 
 _SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _LETTERS = {(False, False): b"t", (True, False): b"T", (False, True): b"d", (True, True): b"D"}
-_WRAP_MS = 60_000
+_WRAP_MS = 60_000  # fixed by LAWICEL CAN232
 GREETING = b"\r"
 _CROWDS = {"foreign": 1, "flood": 100}
 _FOREIGN = b"t7E580000000000000000\r"

@@ -13,9 +13,9 @@ from sim_bus.devices.can.packing import FrameKind
 from sim_bus.devices.device import Device
 from sim_bus.devices.stream import Outlet, Stream
 from sim_bus.errors import SimBusError
+from sim_bus.tuning import STOP_S
 
 _COMMAND = re.compile(rb"<\s*(\w+)\s*([^<>]*?)\s*>")
-_STOP_S = 5.0
 
 
 class FrameText:
@@ -75,7 +75,7 @@ _LAST_DIGIT = re.compile(rb"([0-9A-F]) >")
 ADAPTERS_REPORT = ("error-warning", "error-passive", "overrun")
 """What a daemon does not pass on: it names no more than the class of an error."""
 _WHOLE = re.compile(rb"(< frame [^<>]*?)[0-9A-F]{2} >")
-_BUS_OFF, _BUS_ERROR, _RESTARTED = 0x40, 0x80, 0x100
+_BUS_OFF, _BUS_ERROR, _RESTARTED = 0x40, 0x80, 0x100  # fixed by linux/can/error.h
 
 
 def _wrong_digit(text: bytes) -> bytes:
@@ -250,7 +250,7 @@ class SocketcandDevice(Device):
     def stop(self) -> None:
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(_STOP_S)
+            self._thread.join(STOP_S)
         if self._listener is not None:
             self._listener.close()
 

@@ -4,8 +4,8 @@ from sim_bus.devices.modbus.faults import Framing, join, split
 from sim_bus.devices.modbus.units import Unit
 
 _READ = frozenset({3, 4})
-_FIFO = 24
-_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS = 1, 2
+_FIFO = 24  # fixed by the Modbus application protocol 1.1b3
+_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS = 1, 2  # fixed by the Modbus application protocol 1.1b3
 
 
 class Answers:

@@ -25,10 +25,9 @@ from sim_bus.devices.modbus.server import SerialServer, TcpServer
 from sim_bus.devices.modbus.units import Unit, make_unit
 from sim_bus.devices.pty_line import PtyLine, join
 from sim_bus.errors import SimBusError
+from sim_bus.tuning import LISTEN_S, STOP_S
 
 _READ = frozenset({3, 4})
-_STOP_S = 5.0
-_LOOK_S = 0.02
 
 
 def _sim_device(unit: Unit) -> SimDevice:
@@ -91,7 +90,7 @@ class ModbusDevice(Device):
         self._thread.start()
         opened: Future[None] = asyncio.run_coroutine_threadsafe(self._serve(), self._loop)
         try:
-            opened.result(_STOP_S)
+            opened.result(STOP_S)
         except (OSError, RuntimeError) as error:
             self.stop()
             raise SimBusError(
@@ -105,7 +104,7 @@ class ModbusDevice(Device):
     async def _keep_plugged(self) -> None:
         """Let the server die, and come back, when faults say so."""
         while True:
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(LISTEN_S)
             gone = any(unit.has_fault("disconnect") or unit.has_fault("black-hole") for unit in self.units)
             if gone and self._server is not None:
                 server, self._server = self._server, None
@@ -148,9 +147,9 @@ class ModbusDevice(Device):
         if not self._thread.is_alive():
             self._loop.close()
             return
-        asyncio.run_coroutine_threadsafe(self._shut_down(), self._loop).result(_STOP_S)
+        asyncio.run_coroutine_threadsafe(self._shut_down(), self._loop).result(STOP_S)
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(_STOP_S)
+        self._thread.join(STOP_S)
         self._loop.close()
 
     async def _shut_down(self) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers import crc
 from sim_bus.rig.fault_names import EXCEPTIONS
+from sim_bus.tuning import BYTE_S, LATE_SHARE, RUBBISH_BYTES, SLOW_SHARE
 
 Framing = Literal["tcp", "rtu"]
 Deliveries = list[tuple[float, bytes | None]]
@@ -14,11 +15,6 @@ Deliveries = list[tuple[float, bytes | None]]
 
 _CRC = crc.by_name("CRC-16/MODBUS")
 _MUTE = frozenset({"silent", "half-open", "black-hole", "restart"})
-_BYTE_S = 0.0005
-_ANSWER_SHARE = 0.5
-"""Of the time that an answer may take, when it is slow."""
-_LATE_SHARE = 1.3
-_RUBBISH = 9
 
 
 def split(adu: bytes, framing: Framing) -> tuple[bytes, int, bytes]:
@@ -84,12 +80,12 @@ class ReplyFaults:
         if "duplicate" in names:
             adu += adu
         if "reset" in names:
-            return [(0.0, adu[: len(adu) // 2]), (_BYTE_S, None)]
+            return [(0.0, adu[: len(adu) // 2]), (BYTE_S, None)]
         if "dribble" in names:
-            return [(number * _BYTE_S, adu[number : number + 1]) for number in range(len(adu))]
+            return [(number * BYTE_S, adu[number : number + 1]) for number in range(len(adu))]
         if "hang-up" in names:
             return [(0.0, adu), (0.0, b"")]
-        share = _LATE_SHARE if "late" in names else _ANSWER_SHARE if "slow" in names else 0.0
+        share = LATE_SHARE if "late" in names else SLOW_SHARE if "slow" in names else 0.0
         return [(share * self._timeout_s, adu)]
 
     def _reframed(self, adu: bytes, names: frozenset[str]) -> bytes:
@@ -111,4 +107,4 @@ class ReplyFaults:
             adu = adu[:place] + bytes([adu[place] ^ 1 << bit]) + adu[place + 1 :]
         if "truncate" in names:
             adu = adu[: len(adu) // 2]
-        return self._rng.bytes(_RUBBISH) + adu if "garbage" in names else adu
+        return self._rng.bytes(RUBBISH_BYTES) + adu if "garbage" in names else adu

@@ -19,10 +19,9 @@ from sim_bus.devices.wire import Feed, Raw, WireNumber, split
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.faults import LineFaults
 from sim_bus.rig.ranges import Runs
+from sim_bus.tuning import QUEUE_SAMPLES
 
-FIFO_REGISTERS = 31
-QUEUE = 4096
-"""Samples that the queue of function 24 holds; the oldest are lost beyond."""
+FIFO_REGISTERS = 31  # fixed by the Modbus application protocol 1.1b3
 
 
 def registers(data: bytes) -> list[int]:
@@ -245,9 +244,9 @@ class FifoUnit(Unit):
         if address != self.settings.address:
             return None
         head = self.clock.head_for(self.source, self._batch)
-        if head - self._next > QUEUE:
-            self.lost.add(self._next, head - QUEUE - 1)
-            self._next = head - QUEUE
+        if head - self._next > QUEUE_SAMPLES:
+            self.lost.add(self._next, head - QUEUE_SAMPLES - 1)
+            self._next = head - QUEUE_SAMPLES
         end = min(head, self._next + self._batch)
         rows = self.feed.rows(self._next, end)
         self._next = end

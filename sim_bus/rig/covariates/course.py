@@ -18,9 +18,8 @@ from sim_bus.arrays import FloatArray
 from sim_bus.columns import read_column
 from sim_bus.rig.covariates.channel import CovariateChannel
 from sim_bus.tables import Table
+from sim_bus.tuning import COURSE_STEPS
 
-_AHEAD = 256
-"""Steps of what is felt that are computed at a time."""
 _NEEDS = {
     "constant": (),
     "sine": ("amplitude",),
@@ -154,7 +153,7 @@ class Lagged:
     def at(self, step: int) -> float:
         """Return what is felt after so many steps; it is computed in order, whoever asks."""
         while len(self._steps) <= step:
-            index = np.arange(len(self._steps), len(self._steps) + _AHEAD, dtype=np.float64)
+            index = np.arange(len(self._steps), len(self._steps) + COURSE_STEPS, dtype=np.float64)
             ahead = self._true(self._step_s * index)
             before = np.concatenate([self._last, ahead[:-1]])
             added = (1.0 - self._held) * ahead - (self._kept - self._held) * before

@@ -3,7 +3,7 @@
 from sim_bus.rig.domains.built import Built, Network, Raw, Values
 
 GROUND = "ground"
-GRAVITY = 9.80665
+GRAVITY = 9.80665  # fixed by ISO 80000-3, m/s^2
 
 
 def ladder_values(raw: Raw) -> dict[str, float]:

@@ -6,17 +6,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from drivers.port import (
-    RETRY_HERE_S,
-    RETRY_S,
-    Driver,
-    DriverConfigError,
-    DriverIOError,
-    DriverSettings,
-    SampleBlock,
-    SourceRequest,
-)
+from drivers.port import Driver, DriverConfigError, DriverIOError, DriverSettings, SampleBlock, SourceRequest
 from drivers.reconnect import Backoff
+from drivers.tuning import RETRY_HERE_S, RETRY_S
 from tests.links import NotedLink
 
 

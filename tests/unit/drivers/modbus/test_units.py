@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from drivers.modbus.limits import PATIENCE
+from drivers.modbus.tuning import PATIENCE
 from drivers.modbus.units import Unit
 
 

@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from drivers.serial.patterns import LONGEST, MOST, check, effort
+from drivers.serial.patterns import check, effort
+from drivers.serial.tuning import EFFORT, LONGEST
 
 TAKEN = [
     r"#(?P<n>\d+) a=(?P<a>\S+) b=(?P<b>\S+)",
@@ -34,7 +35,7 @@ REFUSED = [
 
 @pytest.mark.parametrize("text", TAKEN)
 def test_pattern_without_overlapping_repeats_is_taken_and_quick_on_the_worst_lines(text: str) -> None:
-    assert effort(text) <= MOST
+    assert effort(text) <= EFFORT
     pattern = check(text)
     begun = time.process_time()
     for unit in ("a", "1", "F=", ",", " x", "1 ", "a=b=", "-1.5e3", ";", "\xff"):

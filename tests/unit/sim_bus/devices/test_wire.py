@@ -10,7 +10,8 @@ from sim_bus.devices import guard
 from sim_bus.devices.wire import Feed, Raw, WireNumber
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.scenario import Scenario, load_scenario
-from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
+from sim_bus.rig.trajectory import Rig, Trajectory
+from sim_bus.tuning import CHUNK
 from tests.sim.rigs import rig, ring_config
 
 

@@ -9,7 +9,8 @@ from sim_bus.devices.oscillator import OwnClock, OwnTrajectory, Pace, _cubic
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.plant import equations, step
 from sim_bus.rig.scenario import Scenario
-from sim_bus.rig.trajectory import CHUNK, Rig, Trajectory
+from sim_bus.rig.trajectory import Rig, Trajectory
+from sim_bus.tuning import CHUNK
 from tests.sim.rigs import rig, ring_config
 
 RIG = rig(ring_config(1502))

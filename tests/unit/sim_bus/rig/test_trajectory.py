@@ -6,7 +6,8 @@ import pytest
 from sim_bus.errors import SimUsageError
 from sim_bus.rig.rigfile import RigFile
 from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario
-from sim_bus.rig.trajectory import CHUNK, KEPT, Chunk, Rig, Trajectory
+from sim_bus.rig.trajectory import Chunk, Rig, Trajectory
+from sim_bus.tuning import CHUNK, KEPT
 from tests.sim.rigs import rig, ring_config
 
 OF_THEIR_OWN_RIGS = {"voice-coil", "dc-drive", "filter", "oven", "transfer", "gearbox", "gantry"}

@@ -11,19 +11,16 @@ BUSY_MOST_S = 1.0
 FASTEST_PACED = 22000
 """Bit/s up to which the silence before a request is 3.5 characters; faster lines keep this rate's,
 about 1.75 ms (Modbus over serial line 1.02, section 2.5.1.1)."""
-LONGEST_NOISE = 2048
-"""Bytes looked through for a reply; noise before them is forgotten."""
+LONGEST_NOISE = 2048  # bytes looked through for a reply; noise before them is forgotten
 UNANSWERED = 3
 """Requests in a row without an answer, whatever their units, after which the connection is made anew."""
 REMEMBERED_S = 5.0
 REMEMBERED_EACH_S = 0.7
 """How long a lost request's answer may still come: at most, and for each other length there is to ask for."""
-FADE = 0.98
-"""Of the slowest answer, from one answer to the next: a slow one is remembered for some fifty."""
+FADE = 0.98  # of the slowest answer, from one answer to the next: a slow one is remembered for some fifty
 
 # ------------------------------------------------------------------ units that do not answer
-PATIENCE = 3
-"""Requests in a row without an answer after which a unit counts as lost."""
+PATIENCE = 3  # requests in a row without an answer after which a unit counts as lost
 SHORTEST_S = 0.05
 USUAL = 4.0
 """A unit is waited for so many times its slowest answer, and at least so long."""
@@ -31,29 +28,29 @@ FULL_FROM = 64
 FULL_FROM_UNKNOWN = 16
 """Silences in a row, of a unit whose pace is known and of one whose is not, at which, and at whose doubles,
 the whole time-out is waited for again."""
-POLITE_S = 0.2
-"""For how long a request to a lost unit lets others go first."""
-ACTIVE_S = 1.0
-"""A unit whose next request is due within this is one that the others share the line with."""
+POLITE_S = 0.2  # for how long a request to a lost unit lets others go first
+ACTIVE_S = 1.0  # a unit whose next request is due within this is one that the others share the line with
 FOUND_S = 1.4
 GROWTH = 4.0
 RAREST = 99.0
 LEAST = 3.0
 """A lost unit rests for what a request to it costs times GROWTH for each silence, at most RAREST times the
 cost, and no longer than lets it be found within FOUND_S, unless that were less than LEAST times the cost."""
-ROUNDING_S = 1e-6
-"""Times this near are the same: a wait may end so much early."""
+ROUNDING_S = 1e-6  # times this near are the same: a wait may end so much early
 
 # ------------------------------------------------------------------ rings and polls
-FIRST_S = 0.02
-"""The first pause between readings of a ring, before its pace is known."""
-SHARE = 4
-"""A ring is asked again when this part of it may be new, if that is before the period is over."""
-GATHER_S = 0.02
-"""How long a poll gathers rows before it hands them on."""
+FIRST_S = 0.02  # the first pause between readings of a ring, before its pace is known
+SHARE = 4  # a ring is asked again when this part of it may be new, if that is before the period is over
+GATHER_S = 0.02  # how long a poll gathers rows before it hands them on
 SLOW_S = 60.0
 """A link is taken for slow for so long after samples last came too late; it is told once until then."""
 HOPELESS = 2
 """Reads in a row of which most came too late: after a mere stall the first is late, and the next is not."""
 NEAR = 2
 """Reading goes on this part of the ring behind the newest sample at most: the rest covers its duration."""
+
+# frames.py
+REMEMBERED_REQUESTS = 64  # requests given up whose replies are still known for what they are
+# settings.py
+RING_S, POLL_S = 0.1, 0.02
+LONGEST_PERIOD_S = 86400.0  # s; a source that is asked less than once a day is none

@@ -7,15 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.tuning import DEAD_ZONE_NS, SETTLE_NS, SLEW, STEP_NS
 from agent.types import IntArray
-
-STEP_NS = 1_000_000_000
-"""Settings of the wall clock that are nearer to one another are one, ns."""
-SLEW = 1e-3
-"""Labels run at most this much faster or slower than nominal while they follow the device's drift."""
-SETTLE_NS = 10_000_000_000
-"""How long arrivals are watched before labels are drawn towards the wall clock."""
-DEAD_ZONE_NS = 50_000_000
 
 
 def wall_ns() -> int:

@@ -4,11 +4,12 @@ import math
 import sys
 from datetime import UTC, datetime, timedelta
 
+from agent.units import DAY_S
+
 _ORDERS = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if code not in (0x09, 0x0A)}
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_DAY = 86_400.0
 _AHEAD = (
-    (2 * 365.25 * _DAY, 365.25 * _DAY, "years"), (2 * _DAY, _DAY, "days"), (7200.0, 3600.0, "hours"),
+    (2 * 365.25 * DAY_S, 365.25 * DAY_S, "years"), (2 * DAY_S, DAY_S, "days"), (7200.0, 3600.0, "hours"),
     (120.0, 60.0, "minutes"), (0.0, 1.0, "seconds"),
 )  # fmt: skip
 

@@ -14,13 +14,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from agent.units import DAY_NS, MINUTE_NS
+
 Key = tuple[str, str, str]
 """Rig, kind and parameter: what is one alarm."""
-MINUTE_NS: Final = 60 * 10**9
 TEN_MINUTES_NS: Final = 10 * MINUTE_NS
-DAY_NS: Final = 86_400 * 10**9
 FLOOD_BEGINS, FLOOD_ENDS, CHATTERS = 10, 5, 3
+"""Fixed by ISA-18.2: alarms in ten minutes that begin and end a flood, in one that are chatter."""
 ACCEPTABLE_A_DAY, MOST_A_DAY = 150, 300
+"""Fixed by ISA-18.2: alarms a day that an operator can handle, and can at most."""
 
 
 @dataclass(frozen=True, slots=True)

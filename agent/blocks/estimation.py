@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from agent.blocks.tuning import MOST_STUCK
 from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.inference.verdicts import Belief
@@ -24,7 +25,8 @@ from agent.types import (
 )
 
 KEPT = 4
-"""Samples before the current ones that rows may still come of: a quintic hold looks three ahead."""
+"""Fixed by holds: samples before the current ones that rows may still come of; a quintic looks three ahead:
+samples before the current ones that rows may still come of: a quintic hold looks three ahead."""
 
 
 @dataclass(slots=True)
@@ -58,8 +60,6 @@ class Recent:
 
 ESTIMATION, FAILURE = "estimation", "failure"
 """What a failure of the numerics is called in events, and the reason of samples that it loses."""
-MOST_STUCK = 0.05
-"""Share of a window in which dry friction may hold the motion: the hold is known no better than the model."""
 
 
 class Method(Protocol):

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.blocks.tuning import AUTOMATIC_WINDOWS, STANDS
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain, Term
 from agent.config.model.linear import LinearModel
@@ -195,12 +196,6 @@ def known_noise(config: RigConfig, resolution: FloatArray) -> FloatArray:
     """Return the noise sd (p,) of each output: as stated, else as the wire's steps make it, else NaN."""
     sigma, floor = output_noise(config, resolution)
     return np.where(np.isfinite(sigma), sigma, np.where(floor > 0, floor, np.nan))
-
-
-AUTOMATIC_WINDOWS = 5
-"""Windows of "auto": each twice the one before."""
-STANDS = 1e-6
-"""A pole slower than this share of the fastest is at zero (a free rig's are double: found to 1e-8 only)."""
 
 
 def windows_s(config: RigConfig) -> tuple[float, ...]:

@@ -10,12 +10,9 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from agent.blocks.tuning import QUIET_NS, SETTLE_NS
 from agent.types import Reason
 
-SETTLE_NS = 250_000_000
-"""How long signs gather before the cause is named: a device that began anew shows late samples first."""
-QUIET_NS = 1_000_000_000
-"""An episode is over when nothing was counted for so long."""
 RESTART, GAP = "restart", "gap"
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.blocks.rig_model import RigModel, estimated, hop_plan, longer_windows, output_noise, rig_model
+from agent.blocks.tuning import SHARE_OF_MATRIX
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain
 from agent.config.model.tables import MechanicsModel
@@ -22,8 +23,6 @@ from agent.types import FloatArray, IntArray
 PHYSICAL = ("mass", "spring", "damper", "friction", "element", "storage")
 NEEDED = ("mass", "element", "storage")
 """Kinds of parameters that stay above 0: equations are divided by them."""
-SHARE_OF_MATRIX = 0.1
-"""Of a matrix's size: what stands for the size of one of its entries that is 0 at nominal."""
 
 
 @dataclass(frozen=True)

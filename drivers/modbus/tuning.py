@@ -49,8 +49,7 @@ HOPELESS = 2
 NEAR = 2
 """Reading goes on this part of the ring behind the newest sample at most: the rest covers its duration."""
 
-# frames.py
+# frames, settings
 REMEMBERED_REQUESTS = 64  # requests given up whose replies are still known for what they are
-# settings.py
 RING_S, POLL_S = 0.1, 0.02
 LONGEST_PERIOD_S = 86400.0  # s; a source that is asked less than once a day is none

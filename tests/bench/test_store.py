@@ -18,8 +18,9 @@ from agent.cli.prognosis import trend as commands_trend
 from agent.storage.read.points import points_of
 from agent.storage.tables.rows import Plan
 from agent.storage.write.retention import Retention
-from agent.storage.write.rollups import HOUR, MINUTE, Groups, add_groups
+from agent.storage.write.rollups import Groups, add_groups
 from agent.storage.write.store import Store
+from agent.units import HOUR_S, MINUTE_S
 from tests import peers
 from tests.figures import figure
 from tests.storage.powercut.disk import read_log
@@ -64,7 +65,7 @@ def year(path: Path) -> None:
         series = [
             store.names.series((run_id, p, "N/m", "window-ml", 25.0, None)) for p in ("k1", "k2", "B1", "B2")
         ]
-        for span, days in ((HOUR, 365), (MINUTE, 90)):
+        for span, days in ((HOUR_S, 365), (MINUTE_S, 90)):
             for first in range(0, days * DAY, 10 * DAY):
                 length = min(10 * DAY, days * DAY - first)
                 plan = Plan()
@@ -204,16 +205,16 @@ def years(path: Path, count: int) -> None:
             day = np.repeat(np.arange(first, min(first + 240, hours)) / 24.0, 4)
             n = len(day)
             value = 25.0 - 0.8 * day / 365 - 0.1 * (day / 365) ** 2 + 0.05 * rng.standard_normal(n)
-            whole, small = np.full(n, HOUR), np.full(n, 0.05)
+            whole, small = np.full(n, HOUR_S), np.full(n, 0.05)
             rows = Groups(
-                START + np.rint(day * 24).astype(np.int64) * HOUR * SECOND, np.tile(series, n // 4), value,
+                START + np.rint(day * 24).astype(np.int64) * HOUR_S * SECOND, np.tile(series, n // 4), value,
                 small,
                 0.7 * small, value - 0.1, value + 0.1, whole, whole, np.full(n, 256), np.full(n, 0.25),
                 250 * whole,
                 np.zeros(n, dtype=np.int64),
             )  # fmt: skip
             plan = Plan()
-            add_groups(plan, rows, run_id, HOUR, store.names, store.numbers)
+            add_groups(plan, rows, run_id, HOUR_S, store.names, store.numbers)
             store.commit([plan])
 
 

@@ -85,7 +85,7 @@ def test_ask_tells_of_what_was_refused(
 def test_brief_command_is_given_up_in_time_though_the_agent_shows_signs_of_life(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command_socket, "_LIFE_SIGN_S", 0.05)
+    monkeypatch.setattr(command_socket, "LIFE_SIGN_S", 0.05)
     release = threading.Event()
     made = CommandServer(tmp_path / "rig.db", {"wait": lambda _: {"over": release.wait(20)}})
     made.start()
@@ -137,7 +137,7 @@ def test_clients_that_dribble_keep_nobody_waiting(server: Path) -> None:
 
 
 def test_client_that_dribbles_is_cut_off_in_the_end(server: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command_socket, "_PATIENCE_S", 0.2)
+    monkeypatch.setattr(command_socket, "PATIENCE_S", 0.2)
     with socket.socket(socket.AF_UNIX) as peer:
         peer.connect(str(beside(server, ".sock")))
         peer.send(b"{")

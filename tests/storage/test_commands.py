@@ -146,7 +146,7 @@ def test_jobs_refused_tell_whoever_waits() -> None:
 def test_ask_waits_longer_than_its_patience_for_an_agent_that_is_at_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("agent.storage.write.command_socket._LIFE_SIGN_S", 0.05)
+    monkeypatch.setattr("agent.storage.write.command_socket.LIFE_SIGN_S", 0.05)
     over = threading.Event()
     server = CommandServer(tmp_path / "rig.db", {"slow": lambda _: {"over": over.wait(1.0)}})
     server.start()

@@ -7,7 +7,8 @@ import pytest
 from agent.records import EventRecord, HealthEvent
 from agent.storage.database.verify import problems
 from agent.storage.read import queries
-from agent.storage.write.retention import KEPT, purge_logs
+from agent.storage.tuning import KEPT_RECORDS
+from agent.storage.write.retention import purge_logs
 from agent.storage.write.store import Store
 from tests.storage.rows import START, batch, run_info, step
 
@@ -53,4 +54,4 @@ def test_purge_by_the_hour_bounds_what_happened(tmp_path: Path, monkeypatch: pyt
         store.write(store.begin_run(run_info()), [batch(3)])
         store.maintain()
     assert len(queries.events(path)) == 3
-    assert KEPT >= 10_000
+    assert KEPT_RECORDS >= 10_000

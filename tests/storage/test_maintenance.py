@@ -109,7 +109,7 @@ def test_compaction_broken_off_while_it_copies_back_changes_nothing(
     path: Path, monkeypatch: pytest.MonkeyPatch, looks: int
 ) -> None:
     rows = select(path, "SELECT * FROM v_estimates")
-    monkeypatch.setattr(compaction, "PAGES", 8)
+    monkeypatch.setattr(compaction, "COPIED_PAGES", 8)
     with Store.open(path) as store:
         asked = iter([False] * looks + [True])
         with pytest.raises(compaction.BrokenOffError):

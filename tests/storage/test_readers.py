@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.storage.database.connect import WAL_BOUND, connect_reader
+from agent.storage.database.connect import connect_reader
 from agent.storage.database.files import beside
 from agent.storage.read import queries
+from agent.storage.tuning import WAL_BOUND
 from agent.storage.write import store as store_module
 from agent.storage.write.spill import spill_path
 from agent.storage.write.store import Store

@@ -8,9 +8,10 @@ import pytest
 
 from agent.storage.read import queries
 from agent.storage.write.retention import Retention, bytes_per_rig_year
-from agent.storage.write.rollups import MINUTE, grouped
+from agent.storage.write.rollups import grouped
 from agent.storage.write.store import Store
 from agent.types import EstimateBatch, Reason, Status
+from agent.units import MINUTE_S
 from tests.storage.rows import START, batch, ledger, run_info, select
 
 SECOND = 10**9
@@ -79,7 +80,7 @@ def test_minute_of_overlapping_windows_claims_no_more_than_independent_ones() ->
         n = round(60 / step_s)
         t_ns = (np.arange(n) * step_s * 1e9).astype(np.int64)
         plain = [np.full(n, c) for c in (1, 256, 25.0, 0.1, 0.25, 250, 0, 0.1, 1, 1, 25.0, 25.0, 256)]
-        found = grouped([t_ns, *plain], MINUTE, 0, 0)
+        found = grouped([t_ns, *plain], MINUTE_S, 0, 0)
         assert found is not None
         return float(found.sd[0])
 

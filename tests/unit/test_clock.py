@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.clock import DEAD_ZONE_NS, SampleLabels, boot_id, monotonic_ns, wall_ns
+from agent.clock import SampleLabels, boot_id, monotonic_ns, wall_ns
+from agent.tuning import DEAD_ZONE_NS
 
 WALL = 1_760_000_000_000_000_000
 SECOND = 1_000_000_000

@@ -30,7 +30,7 @@ from agent.blocks.acquisition.interface import (
 from agent.blocks.acquisition.single_source import uninterrupted
 from agent.blocks.acquisition.skew_watch import SkewWatch
 from agent.blocks.acquisition.stream import AlignmentPlan, Stream, StreamPlan
-from agent.blocks.acquisition.tuning import NEIGHBOURS, PARTNER_S, SETTLE_S, TOGETHER_S
+from agent.blocks.tuning import NEIGHBOURS, PARTNER_S, SETTLE_S, TOGETHER_S
 from agent.numerics.preprocessing.resample import AFTER, interpolated, split
 from agent.types import Aligned, BoolArray, FloatArray, IntArray, Samples
 from drivers.port import SampleBlock

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.blocks.acquisition.tuning import (
+from agent.blocks.tuning import (
     BACKLOG_S,
     CLEAR,
     FASTER,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.blocks.acquisition.tuning import LINE_EVERY_S, SETTLE_S, STEEPEST, TRUSTED_S
+from agent.blocks.tuning import LINE_EVERY_S, SETTLE_S, STEEPEST, TRUSTED_S
 from agent.numerics.preprocessing.drift import ClockFit
 from agent.types import FloatArray
 

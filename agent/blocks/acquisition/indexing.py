@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from agent.blocks.acquisition.arrival_count import ArrivalCount
-from agent.blocks.acquisition.tuning import JOIN_S, LEAK, PUNCTUAL_S, RESTART_AFTER_S, WIDEST
+from agent.blocks.tuning import JOIN_S, LEAK, PUNCTUAL_S, RESTART_AFTER_S, WIDEST
 from agent.numerics.preprocessing.rows import steps_from
 from agent.types import BoolArray, IntArray
 from drivers.port import SampleBlock

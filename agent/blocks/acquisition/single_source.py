@@ -19,14 +19,10 @@ from agent.blocks.acquisition.interface import (
     SourceState,
     Through,
 )
+from agent.blocks.tuning import LARGEST_READING
 from agent.numerics.preprocessing.rows import rows_with, steps_from
 from agent.types import Aligned, BoolArray, FloatArray, IntArray
 from drivers.port import SampleBlock
-
-LARGEST = 1e30
-"""No instrument means more, in SI: marks of "no value" (the greatest float32 is 3.4e38) and torn bytes are
-beyond it, the greatest 64-bit count is not. The numerics multiply up to eight readings, at most 1e240, so
-nothing overflows."""
 
 
 class SingleSource(Acquisition):
@@ -90,12 +86,12 @@ def intake(
 ) -> tuple[IntArray, FloatArray, IntArray | None]:
     """Take a source's block: return numbers (n,) of samples that go forward, SI values (n, c), stamps (n,).
 
-    What is not finite or beyond `LARGEST` is NaN; what goes backwards is left out; all are counted.
+    What is not finite or beyond `LARGEST_READING` is NaN; what goes backwards is left out; all are counted.
     """
     state.indexer.modulus = modulus
     index, kept = state.indexer.take(block)
     values = _to_si(state.plan, block.values)
-    impossible = ~(np.abs(values) <= LARGEST)
+    impossible = ~(np.abs(values) <= LARGEST_READING)
     sound = ~rows_with(impossible)
     _refuse_values(state, block.values, values, kept & ~sound)
     _count_gaps(state, index[kept & sound])
@@ -120,7 +116,7 @@ def _refuse_values(state: SourceState, readings: FloatArray, values: FloatArray,
     if not bad.any():
         return
     infinite = np.isinf(readings[bad]).any(axis=1)
-    large = (np.abs(values[bad]) > LARGEST).any(axis=1) & ~infinite
+    large = (np.abs(values[bad]) > LARGEST_READING).any(axis=1) & ~infinite
     missing = ~(infinite | large)
     counts = {"not finite": infinite, "too large": large, "missing value": missing}
     state.rejected.update({reason: int(which.sum()) for reason, which in counts.items()})

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.blocks.acquisition.interface import SourceEvent
-from agent.blocks.acquisition.tuning import (
+from agent.blocks.tuning import (
     ENOUGH,
     EVALUATIONS,
     FLOOR,

@@ -16,12 +16,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from agent.blocks.tuning import BLIND_S, BLIND_WINDOWS
 from agent.config.tables import Alarm as AlarmRule
 from agent.numerics.preprocessing.rows import steps_from
 from agent.types import AlarmKind, AlarmTransition, EstimateBatch, Reason, Status
 
-LEAST_S: Final = 60.0
-WINDOWS: Final = 100
 BLIND_KINDS: Final[tuple[AlarmKind, ...]] = ("blind", "mismatch")
 MODEL: Final = "model"
 """What alarms of kind mismatch are of."""
@@ -40,7 +39,7 @@ class _Watch:
     samples: Counter[str] = field(default_factory=Counter)
 
     def due_s(self) -> float:
-        return self.rule.blind_s or max(LEAST_S, WINDOWS * self.window_s)
+        return self.rule.blind_s or max(BLIND_S, BLIND_WINDOWS * self.window_s)
 
     @property
     def prevailing(self) -> str:

@@ -10,23 +10,21 @@ A history that is too short to say raises and clears nothing, nor does a limit t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from agent.alarms.life_cycle import CLEARED, RAISED
 from agent.blocks.advisory.outlook import Outlook
+from agent.blocks.tuning import DEADBAND
 from agent.config.tables import Alarm as AlarmRule
 from agent.text import ahead, behind, number, with_sd
 from agent.types import AlarmKind, AlarmState, AlarmTransition
+from agent.units import DAY_S
 
 if TYPE_CHECKING:
     from agent.prognosis.change import Rates
     from agent.prognosis.forecast import Forecast
-
-DAY_S: Final = 86_400.0
-DEADBAND: Final = 0.1
-"""Of `within` and of the rate: as much as a level alarm's is of its limit."""
 
 
 class StandingRow(Protocol):

@@ -6,13 +6,11 @@ alarm that does not stand is left: rows that are not valid raise nothing.
 """
 
 from collections.abc import Sequence
-from typing import Final
 
+from agent.blocks.tuning import REST_S
 from agent.config.tables import Alarm as AlarmRule
 from agent.numerics.preprocessing.rows import steps_from
 from agent.types import AlarmState, AlarmTransition, EstimateBatch, Status
-
-REST_S: Final = 10.0
 
 
 class RestAlarms:

@@ -5,13 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.blocks.tuning import MEMORY_PERIODS
 from agent.config.sections.covariates import Covariate
 from agent.numerics.reference.covariates.lags import CLOSED, PERIOD_NS
 from agent.records import CovariateMean
 from agent.types import FloatArray, IntArray
-
-MEMORY = 7200
-"""Periods that are remembered (five days): a lag of 21 h has forgotten what came before but for 0.3 %."""
 
 
 @dataclass(slots=True)
@@ -75,7 +73,7 @@ class CovariateMeans:
         self._closed = period
         found = [mean for name in self._open for mean in self._ended(name, period)]
         for table in self.known.values():
-            for old in [number for number in table if number < period - MEMORY]:
+            for old in [number for number in table if number < period - MEMORY_PERIODS]:
                 del table[old]
         return sorted(found, key=lambda mean: mean.t_ns)
 

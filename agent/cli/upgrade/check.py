@@ -13,9 +13,10 @@ from agent.cli.terminal.output import fault_document, print_table, show
 from agent.cli.upgrade.copies import copies_of
 from agent.config import files_of, load_many
 from agent.errors import AgentError, ConfigError, Fault, StoreError
-from agent.storage.database.connect import WAL_BOUND, connect_reader
+from agent.storage.database.connect import connect_reader
 from agent.storage.database.files import Kind, beside, check_place, kind_of, refuse
 from agent.storage.database.schema import SCHEMA_VERSION, steps_from
+from agent.storage.tuning import WAL_BOUND
 
 CONFIGURATIONS = Path("/etc/deltak")
 DATABASES = Path("/var/lib/deltak")

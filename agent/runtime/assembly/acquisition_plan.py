@@ -11,9 +11,9 @@ from agent.blocks.acquisition.interface import Acquisition, ChannelScale, Source
 from agent.blocks.acquisition.single_source import SingleSource, source_plan
 from agent.blocks.acquisition.skew_watch import SkewGroup, SkewWatch
 from agent.blocks.acquisition.stream import AlignmentPlan, StreamPlan
-from agent.blocks.acquisition.tuning import LONGEST_STRETCH_S, MOST_STRETCH_SAMPLES, SHORTEST_STRETCH_S
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import hop_plan, known_noise, rig_model, scale_columns
+from agent.blocks.tuning import LONGEST_STRETCH_S, MOST_STRETCH_SAMPLES, SHORTEST_STRETCH_S
 from agent.config import LinearModel, RigConfig
 from agent.config.model.tables import Channel
 from agent.config.tables import Source

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from agent.storage.read.points import Points
 from agent.storage.tables.estimates import repeat_cells
-from agent.storage.write.rollups import HOUR, MINUTE, SECOND, Groups, grouped
+from agent.storage.write.rollups import Groups, grouped
 from agent.types import BoolArray, FloatArray, IntArray, Status
+from agent.units import HOUR_S, MINUTE_S, SECOND_NS
 
 TextArray = NDArray[Any]
 _VALID: Final = int(Status.VALID) << 8
@@ -121,7 +122,7 @@ class History:
         _, unit, reference = self._newest[name]
         steady = tuple(dict.fromkeys(own.reference[np.isfinite(own.reference)].tolist()))
         return Points(
-            self.rig, name, unit, own.t_ns + span * SECOND // 2, own.value, own.sd, own.sd_repeat,
+            self.rig, name, unit, own.t_ns + span * SECOND_NS // 2, own.value, own.sd, own.sd_repeat,
             np.full(len(own), span), None, None, None if np.isnan(reference) else reference, 0, steady,
         )  # fmt: skip
 
@@ -132,10 +133,10 @@ class History:
             return rows.at(_valid(rows)), 0
         minutes = joined(self._minutes)
         if len(np.unique(minutes.t_ns)) <= self._most:
-            return minutes, MINUTE
-        hours = _aggregated(_ordered(minutes), HOUR, MINUTE, int(minutes.t_ns.min()))
+            return minutes, MINUTE_S
+        hours = _aggregated(_ordered(minutes), HOUR_S, MINUTE_S, int(minutes.t_ns.min()))
         each = -(-len(np.unique(hours.t_ns)) // self._most)
-        return hours.at(hours.t_ns // (HOUR * SECOND) % each == 0), HOUR
+        return hours.at(hours.t_ns // (HOUR_S * SECOND_NS) % each == 0), HOUR_S
 
     def _shown(self, found: Piece) -> BoolArray:
         """Tell which rows no newer run covers, as a database shows the newest run of an instant."""
@@ -164,7 +165,7 @@ def _newest(rows: Piece) -> Piece:
 def _minutes(piece: Piece, before: Piece | None) -> Piece:
     """Return a day's rows as minutes; before: the newest of the day before, which windows reach back to."""
     rows = piece if before is None else _ordered(joined([before, piece]))
-    return _aggregated(rows, MINUTE, 0, int(piece.t_ns.min()))
+    return _aggregated(rows, MINUTE_S, 0, int(piece.t_ns.min()))
 
 
 def _aggregated(rows: Piece, span: int, source: int, first_ns: int) -> Piece:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_POLYNOMIAL = 0xEDB88320
-_CHUNK = 2048  # rows whose bytes stay in the processor's cache while their columns are walked
+from agent.storage.tuning import CHECKSUM_ROWS
+
+_POLYNOMIAL = 0xEDB88320  # fixed by CRC-32 of ISO 3309
 
 Cell = int | float | str | None
 
@@ -73,10 +74,10 @@ def _crc(columns: Sequence[NDArray[np.int64] | NDArray[np.float64]]) -> NDArray[
     for place, column in enumerate(columns):
         packed[:, place] = _bits(column)
     out = np.full(rows, start, dtype=np.uint32)
-    for first in range(0, rows, _CHUNK):
-        part = np.ascontiguousarray(packed[first : first + _CHUNK].view(np.uint8).T)
+    for first in range(0, rows, CHECKSUM_ROWS):
+        part = np.ascontiguousarray(packed[first : first + CHECKSUM_ROWS].view(np.uint8).T)
         for position, octets in enumerate(part):
-            out[first : first + _CHUNK] ^= table[position].take(octets)
+            out[first : first + CHECKSUM_ROWS] ^= table[position].take(octets)
     return out.view(np.int32)
 
 

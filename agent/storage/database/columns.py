@@ -7,15 +7,15 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from agent.storage.database.checksum import column_crc
+from agent.storage.tuning import ROWS_AT_ONCE
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 COLUMN_BITS = 10
-"""estimates.seq = hops.seq << COLUMN_BITS | column."""
-ROWS_AT_ONCE = 64
-"""Of 20 columns at the most: a statement may have 32,766 values."""
+"""Fixed by the file's format: estimates.seq = hops.seq << COLUMN_BITS | column: estimates.seq = hops.seq <<
+COLUMN_BITS | column."""
 
 TABLES: dict[str, str] = {
     "meta": "key TEXT NOT NULL UNIQUE, value TEXT NOT NULL",

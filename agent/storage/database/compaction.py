@@ -10,9 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 from agent.storage.database.files import beside, created
-
-PAGES = 4096
-"""Pages copied back between two looks whether it is to be broken off: a few milliseconds' worth."""
+from agent.storage.tuning import COPIED_PAGES
 
 
 class BrokenOffError(Exception):
@@ -42,6 +40,6 @@ def compact(connection: sqlite3.Connection, path: Path, breaks_off: Callable[[],
     try:
         connection.execute("VACUUM INTO ?", (str(aside),))
         with closing(sqlite3.connect(aside)) as whole:
-            whole.backup(connection, pages=PAGES, progress=look)
+            whole.backup(connection, pages=COPIED_PAGES, progress=look)
     finally:
         remove_left_over(path)

@@ -23,9 +23,8 @@ from agent.storage.database.files import (
     sync_folder,
 )
 from agent.storage.database.schema import PAGE_SIZE, SCHEMA_VERSION, strange_schema, version_of, write_schema
+from agent.storage.tuning import WAL_BOUND
 
-WAL_BOUND = 16 * 1024 * 1024
-"""Bytes that the write-ahead log may take whatever readers do."""
 FRAME_BYTES = PAGE_SIZE + 24
 _WRITER = (
     "PRAGMA synchronous = FULL",  # NORMAL loses acknowledged rows at a power cut

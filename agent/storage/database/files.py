@@ -11,9 +11,8 @@ from typing import BinaryIO
 
 from agent.errors import StoreError, StoreHeldError
 from agent.storage.database.schema import APPLICATION_ID, PAGE_SIZE, SCHEMA_VERSION, version_mark
+from agent.storage.tuning import BALLAST_BYTES, HEAD_BYTES, READ_BYTES
 
-BALLAST_BYTES = 3 * 1024 * 1024
-"""Freed when the disk is full: SQLite needs room even to delete, and for what the log holds already."""
 _MAGIC = b"SQLite format 3\0"
 _OURS_WRITTEN = b"CREATE VIEW v_estimates_windows"
 _FIXED = (
@@ -22,8 +21,6 @@ _FIXED = (
     (56, b"\0\0\0\1"),
 )
 """Header bytes of every file of ours; SQLite takes some, when wrong, for a file it may not write to."""
-_HEAD = 256 * 1024
-_BLOCK = 1024 * 1024
 _COMPANIONS = ("-wal", "-shm", "-journal")  # what SQLite itself writes beside a database
 
 
@@ -110,7 +107,7 @@ def renew(path: Path) -> None:
         return
     try:
         place = 0
-        while block := os.pread(handle, _BLOCK, place):
+        while block := os.pread(handle, READ_BYTES, place):
             place += os.pwrite(handle, block, place)
         os.fsync(handle)
     finally:
@@ -124,7 +121,7 @@ def kind_of(path: Path) -> Kind:
     """
     try:
         with path.open("rb") as file:
-            head = file.read(_HEAD)
+            head = file.read(HEAD_BYTES)
     except FileNotFoundError:
         return Kind.MISSING
     except PermissionError as error:

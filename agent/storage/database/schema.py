@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from sqlite_utils.migrations import Migrations
 
 APPLICATION_ID = 0x64744B31
-"""Bytes 68 to 71 of the file: "dtK1"."""
+"""Fixed by the file's format: bytes 68 to 71 of the file: "dtK1"."""
 SCHEMA_VERSION = 9
-"""Counts up; a program refuses files of a version greater than its own."""
+"""Fixed by the file's format: counts up; a program refuses files of a version greater than its own."""
 PAGE_SIZE = 1024
-"""Small pages: a second's commit dirties three of them, so a day of commits stays under half a gigabyte."""
+"""Fixed by the file's format: small pages: a second's commit dirties three of them, so a day of commits stays
+under half a gigabyte."""
 _CALLED = frozenset({"json_each"})  # table-valued functions in our views
 
 

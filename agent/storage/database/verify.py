@@ -13,13 +13,12 @@ from agent.storage.database.checksum import row_crc
 from agent.storage.database.columns import TABLES, columns_of, numbers_crc
 from agent.storage.database.connect import damaged, is_damage
 from agent.storage.database.schema import strange_schema
+from agent.storage.tuning import NEWEST_ROWS, SMALL_PAGES
 from agent.types import BoolArray, FloatArray
 
 Row = tuple[Any, ...]
 _NUMERIC = {"hops": 4, "estimates": 4, "spreads": 4}
 """Tables of numbers only, checked whole columns at a time -> how many of their columns are integers."""
-_SMALL_PAGES = 4096  # files up to this size are read whole at every start
-_NEWEST_ROWS = 5000
 _ORPHANS = """SELECT count(*) FROM estimates e WHERE NOT EXISTS
  (SELECT 1 FROM hops h WHERE h.seq = e.seq >> 10)
  OR NOT EXISTS (SELECT 1 FROM series s WHERE s.seq = e.series_id)
@@ -98,12 +97,12 @@ def problems_at_start(connection: sqlite3.Connection) -> list[str]:
 
     The rest of a large file is read bit by bit while the store is used (see `Scrubber`).
     """
-    if connection.execute("PRAGMA page_count").fetchone()[0] <= _SMALL_PAGES:
+    if connection.execute("PRAGMA page_count").fetchone()[0] <= SMALL_PAGES:
         return problems(connection)
     found = strange_schema(connection)
     for table in TABLES:
         newest = connection.execute(f"SELECT max(seq) FROM {table}").fetchone()[0] or 0
-        rows = _NEWEST_ROWS << 10 if table in {"estimates", "spreads"} else _NEWEST_ROWS
+        rows = NEWEST_ROWS << 10 if table in {"estimates", "spreads"} else NEWEST_ROWS
         bad = bad_rows(connection, table, newest - rows, newest)
         if bad:
             found.append(f"{bad} rows of {table} have a wrong checksum")

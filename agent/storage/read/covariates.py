@@ -8,10 +8,9 @@ from agent.records import CovariateMean
 from agent.storage.read.selection import reading
 from agent.storage.tables.covariates import means_of, newest_means
 from agent.types import FloatArray, IntArray
+from agent.units import DAY_NS, MINUTE_NS
 
-_MINUTE_NS = 60_000_000_000
-_EARLIEST, _LATEST = -(2**62), 2**62
-_DAY_NS = 86_400_000_000_000
+_EARLIEST, _LATEST = -(2**62), 2**62  # fixed by 64 bits: before and after all
 
 
 class Means:
@@ -26,7 +25,7 @@ class Means:
 def newest(db: Path | str, rig: str) -> list[CovariateMean]:
     """Return the newest mean of each covariate that was read in the newest day of any. Raises StoreError."""
     with reading(db) as connection:
-        found = sorted(newest_means(connection, rig, _DAY_NS), key=lambda mean: mean.t_ns)
+        found = sorted(newest_means(connection, rig, DAY_NS), key=lambda mean: mean.t_ns)
     return list({mean.name: mean for mean in found}.values())
 
 
@@ -42,6 +41,6 @@ def means(db: Path | str, rig: str, first_ns: int = _EARLIEST, last_ns: int = _L
             if unit != mean.unit:  # what was in another unit is of another sensor
                 table = {}
                 tables[mean.name] = (mean.unit, table)
-            first = mean.t_ns // _MINUTE_NS
+            first = mean.t_ns // MINUTE_NS
             table.update(dict.fromkeys(range(first, first + mean.span_s // 60), mean.value))
     return {name: Means(unit, table) for name, (unit, table) in tables.items()}

@@ -17,10 +17,9 @@ from agent.storage.database.columns import COLUMN_BITS
 from agent.storage.database.connect import Reader, connect_reader, unreadable
 from agent.storage.read.proof import row_of
 from agent.storage.read.queries import view_rows
+from agent.storage.tuning import BATCHES_A_CONNECTION
 
 Row = dict[str, Any]
-_BATCHES_A_CONNECTION: Final = 200
-"""After so many the file is opened anew, and its small tables are proved anew."""
 _LAST_COLUMN: Final = (1 << COLUMN_BITS) - 1
 _TABLES: Final = {"alarms": "alarm_events", "estimates": "hops", "events": "events", "health": "health"}
 _STEP: Final = ("kind", "parameter", "priority", "message", "delta", "sd", "limit_value", "probability")
@@ -94,7 +93,7 @@ class Feed:
     def _opened(self) -> Reader:
         found = self._path.stat() if self._path.exists() else None
         file = None if found is None else (found.st_dev, found.st_ino)
-        if file != self._file or self._batches >= _BATCHES_A_CONNECTION:
+        if file != self._file or self._batches >= BATCHES_A_CONNECTION:
             self.close()
         if self._reader is None:
             self._reader = connect_reader(self._path)

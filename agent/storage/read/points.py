@@ -18,10 +18,10 @@ from agent.storage.read.selection import (
     reading,
     stretches_of,
 )
+from agent.storage.tuning import MOST_POINTS
 from agent.types import FloatArray, IntArray
 
-_MOST_POINTS = 50_000  # more points than this and a trend reads a coarser tier
-_UNCOUNTED = 2**40
+_UNCOUNTED = 2**40  # fixed by its meaning: as many as there are
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Points:
 
 def points_of(
     db: Path | str, rig: str | None, parameter: str, since: str | None = None, until: str | None = None,
-    most: int = _MOST_POINTS,
+    most: int = MOST_POINTS,
 ) -> Points:  # fmt: skip
     """Return the valid estimates of one parameter as arrays.
 
@@ -76,7 +76,7 @@ def points_of(
         return _points(connection, name, (parameter,), since, until, most)[0]
 
 
-def all_points(db: Path | str, rig: str, most: int = _MOST_POINTS) -> list[Points]:
+def all_points(db: Path | str, rig: str, most: int = MOST_POINTS) -> list[Points]:
     """Return the same of every parameter of a rig, whose rows are read together; errors as `points_of`."""
     with reading(db) as connection:
         name = one_rig(connection, rig)

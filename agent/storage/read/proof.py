@@ -21,6 +21,7 @@ from agent.storage.database.connect import Reader, damaged
 from agent.storage.database.schema import own_schema
 from agent.storage.database.verify import bad_rows, good_columns, good_rows
 from agent.storage.tables.ages import Part
+from agent.storage.tuning import POINTS_READ, ROWS_READ
 from agent.types import BoolArray, FloatArray, IntArray, Status
 
 Cells = tuple[Any, ...]
@@ -31,9 +32,8 @@ _INDEXED = {
 """Columns that an index holds as well, by table."""
 _WHOLE = ("overlaps", "alarms", "clocks", "annotations", "sites", "baselines")
 """Short tables that views look into for a row that may not be there."""
-_AT_ONCE = 20_000
 FIRST, LAST = -(2**63), 2**63 - 1
-"""The ends of a stretch that is open: of stamps, ns, and of row numbers."""
+"""Fixed by 64 bits: the ends of a stretch that is open: of stamps, ns, and of row numbers."""
 
 
 def proven(
@@ -93,7 +93,7 @@ def prove_listed(reader: Reader, table: str, first: int = FIRST) -> None:
             raise damaged("an index lists what its table does not hold")
         same = " AND ".join(f"i.{name} = t.{name}" for name in (*columns, "seq"))
         query = f"""SELECT {", ".join(names)} FROM {table} t NOT INDEXED WHERE t.seq >= ? AND NOT EXISTS (
- SELECT 1 FROM {table} i INDEXED BY {index} WHERE {same}) LIMIT {_AT_ONCE}"""
+ SELECT 1 FROM {table} i INDEXED BY {index} WHERE {same}) LIMIT {ROWS_READ}"""
         # one whose checksum is wrong is refused where the index says what it was
         if good_rows(table, reader.execute(query, (first,)).fetchall()).any():
             raise damaged("an index does not list what its table holds")
@@ -159,7 +159,7 @@ def _sound(
     reader: Reader, cursor: sqlite3.Cursor, parts: Sequence[str], width: int, *, once: bool
 ) -> Iterator[Cells]:
     before = set[Cells]()
-    while rows := cursor.fetchmany(_AT_ONCE):
+    while rows := cursor.fetchmany(ROWS_READ):
         heads = [row[:width] for row in rows]
         said = list(zip(*heads, strict=True))
         wrong = _repeated(heads, before) if once else set[int]()
@@ -266,7 +266,7 @@ def sound_points(
     period_ns = max(span, 1) * 1_000_000_000
     cursor = reader.execute(query, (run, span, first, last, period_ns, each))
     pieces = []
-    while rows := cursor.fetchmany(_POINTS_AT_ONCE):
+    while rows := cursor.fetchmany(POINTS_READ):
         pieces.append(_sound_piece(reader, run, span, list(zip(*rows, strict=True))))
     if not pieces:
         return NOTHING
@@ -275,10 +275,6 @@ def sound_points(
     reader.refuse(int((~(right & once)).sum()))
     found = joined([piece[2] for piece in pieces])
     return found if once.all() else found.at(once[right])
-
-
-_POINTS_AT_ONCE = 4000
-"""A row in Python's objects takes ten times as much memory as in arrays."""
 
 
 def _sound_piece(

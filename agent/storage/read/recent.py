@@ -11,9 +11,9 @@ from agent.storage.database.connect import Reader
 from agent.storage.read.proof import FIRST, prove_listed, row_of
 from agent.storage.read.queries import Rows, view_rows
 from agent.storage.read.selection import reading
+from agent.storage.tuning import HEALTH_ROWS
 
 Row = dict[str, Any]
-_HEALTH_ROWS = 400  # the newest rows of health that are looked through for sources: a row of each every 10 s
 
 
 class Cursor(NamedTuple):
@@ -100,7 +100,7 @@ def sources(db: Path | str) -> Rows:
     rate_hz is None for a source with one row. Raises StoreError.
     """
     with reading(db) as reader:
-        tail = _highest(reader, "health") - _HEALTH_ROWS
+        tail = _highest(reader, "health") - HEALTH_ROWS
         prove_listed(reader, "health", tail)
         reader.listed["health"] = FIRST  # older rows are not asked for, so their index need not be compared
         condition = f"{row_of('x')} > ? ORDER BY {row_of('x')}"

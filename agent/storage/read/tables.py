@@ -12,15 +12,13 @@ import numpy as np
 from agent.errors import UsageError
 from agent.storage.read.points import Points
 from agent.storage.read.times import age_ns, parse_time
+from agent.storage.tuning import LARGEST, LONGEST_LINE
 
 ENDINGS = frozenset({".csv", ".parquet", ".pq"})
 _TIMES = ("time", "t", "t_ns")
-_LONGEST_LINE = 1 << 22
 _WHEN = "seconds, or ISO 8601, from 1678 to 2261"
-_LARGEST = 1e100
-"""Magnitude beyond which no parameter of a machine lies and squares overflow."""
 _FIRST_NS, _LAST_NS = -(2**63) + 1, 2**63 - 1
-"""Years 1677 and 2262: what 64 bits of nanoseconds hold."""
+"""Fixed by 64 bits: years 1677 and 2262: what 64 bits of nanoseconds hold."""
 _ADVICE = "a history has the columns time (ISO 8601, or seconds), value and, where there is one, sd"
 
 
@@ -115,9 +113,9 @@ def _csv(path: Path) -> dict[str, list[str]]:
 
 def _lines(path: Path, file: TextIO) -> Iterator[str]:
     """Yield the lines of a file; UsageError for one that is no row of a history, before it fills memory."""
-    while line := file.readline(_LONGEST_LINE):
-        if len(line) == _LONGEST_LINE:
-            raise UsageError.at(path, f"has a row of {_LONGEST_LINE} characters or more", _ADVICE)
+    while line := file.readline(LONGEST_LINE):
+        if len(line) == LONGEST_LINE:
+            raise UsageError.at(path, f"has a row of {LONGEST_LINE} characters or more", _ADVICE)
         yield line
 
 
@@ -174,7 +172,7 @@ def _numbers(path: Path, name: str, cells: Sequence[Any]) -> "np.ndarray[Any, np
         )
     except (TypeError, ValueError) as error:
         raise UsageError.at(path, f"the column {name} holds what is no number: {error}", _ADVICE) from error
-    beyond = found[np.isfinite(found) & (np.abs(found) > _LARGEST)]
+    beyond = found[np.isfinite(found) & (np.abs(found) > LARGEST)]
     if len(beyond):
         raise UsageError.at(path, f"the column {name} holds {beyond[0]:g}, past what is measured", _ADVICE)
     return found

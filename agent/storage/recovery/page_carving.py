@@ -14,15 +14,16 @@ from agent.storage.database.columns import ADDED, TABLES, columns_of
 from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.database.verify import good_rows
 from agent.storage.tables.rows import Row
+from agent.storage.tuning import CARVED_ROWS
 
 _LEAF = 0x0D
 _WAL_HEADER, _FRAME_HEADER = 32, 24
+"""Fixed by SQLite's file format: a table's leaf page, bytes before the log's frames and before each."""
 _SCANNED = (
     "rigs", "runs", "series", "fits", "hops", "estimates", "spreads", "alarms", "alarm_events", "health",
     "events", "event_records", "learnt", "hypotheses", "shelves", "annotations", "sites",
     "graphs", "baselines", "forecasts", "covariates", "conditions", "trends",
 )  # fmt: skip
-_CARVED_AT_ONCE = 10_000
 _Key = tuple[int, bool]
 
 
@@ -68,7 +69,7 @@ def _scanned(pages: Iterable[bytes]) -> Iterator[tuple[str, list[Row]]]:
             if table is None:
                 continue
             waiting.setdefault(table, []).append(_typed(table, _ordered(table, cells)))
-            if len(waiting[table]) >= _CARVED_AT_ONCE:
+            if len(waiting[table]) >= CARVED_ROWS:
                 yield table, _proven(table, waiting.pop(table))
     for table, rows in waiting.items():
         yield table, _proven(table, rows)

@@ -16,15 +16,13 @@ from agent.storage.database.verify import good_rows
 from agent.storage.recovery.loss_estimate import REPORTED, LossEstimate
 from agent.storage.recovery.page_carving import scan
 from agent.storage.tables.rows import VERDICTS, Row
+from agent.storage.tuning import KEPT_ASIDE, LEAP_ROWS, ROWS_READ
 
-_AT_ONCE = 20_000
 _LONG = frozenset({"hops", "estimates", "spreads"})
 _MOST_FAILURES = {
     True: 200,
     False: 20,
 }  # halvings a long or short table; a sick root would take for ever, and pages are scanned after
-_LEAP = 100_000  # numbers skipped after a loss, so that none is given out twice
-_KEPT_ASIDE = 3  # damaged files kept; a sick flash must not fill itself with them
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,7 @@ def _put_aside(path: Path) -> Path:
         if suffix == "-journal":
             sync_folder(path.parent)
     beside(path, "-shm").unlink(missing_ok=True)
-    for old in sorted(path.parent.glob(f"{path.name}.corrupt-*Z*"))[: -2 * _KEPT_ASIDE]:
+    for old in sorted(path.parent.glob(f"{path.name}.corrupt-*Z*"))[: -2 * KEPT_ASIDE]:
         old.unlink(missing_ok=True)
     return aside
 
@@ -217,7 +215,7 @@ def _some(cursor: sqlite3.Cursor) -> list[Row]:
     try:
         for row in cursor:
             rows.append(row)
-            if len(rows) == _AT_ONCE:
+            if len(rows) == ROWS_READ:
                 break
     except (sqlite3.Error, UnicodeDecodeError):
         if not rows:
@@ -294,5 +292,5 @@ def _complete(target: sqlite3.Connection, highs: Mapping[str, int]) -> None:
     target.execute("DELETE FROM sequences")
     for number, table in enumerate(TABLES, 1):
         newest = target.execute(f"SELECT max(seq) FROM {table}").fetchone()[0] or 0  # noqa: S608 - own name
-        cells = (number, table, max(newest, high.get(table, 0), highs.get(table, 0)) + _LEAP)
+        cells = (number, table, max(newest, high.get(table, 0), highs.get(table, 0)) + LEAP_ROWS)
         target.execute(insert_sql("sequences"), with_crc(cells))

@@ -13,15 +13,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, pairwise
 
-from agent.clock import STEP_NS
 from agent.records import ClockRecord, RunInfo
+from agent.storage.tuning import AGE_SLEW, CONFIRMED_NS, CONFIRMED_RUNS
+from agent.tuning import STEP_NS
 
-CONFIRMED_NS = 24 * 3600 * 10**9
-"""A wall clock is confirmed once consecutive stamps cover so much running time, over more than one run."""
-CONFIRMED_RUNS = 2
-SLEW = 1e-3
-"""A wall clock that is drawn to another runs at most this much faster or slower."""
-_LARGE = 2**63
+_LARGE = 2**63  # fixed by 64 bits: beyond every row
 _KEPT = (
     "rows from before are kept by how long the agent ran until a day of running, "
     "over several runs, confirms it"
@@ -236,4 +232,4 @@ def _step(connection: sqlite3.Connection, run: RunInfo, last: Part, now: ClockRe
     if boot != run.boot_id or passed < 0:
         return 0
     step = now.offset_ns - int(offset)
-    return step if abs(step) > passed * SLEW else 0
+    return step if abs(step) > passed * AGE_SLEW else 0

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.clock import STEP_NS
 from agent.records import ClockRecord, RunInfo
 from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.storage.tuning import MOST_ANCHORS
+from agent.tuning import STEP_NS
 from agent.types import EstimateBatch
 
 
@@ -62,9 +63,6 @@ def _stretch(connection: sqlite3.Connection, run_id: int) -> tuple[int, int] | N
     return (min(firsts), max(lasts)) if firsts else None
 
 
-_MOST_ANCHORS = 1000
-
-
 @dataclass(slots=True)
 class _Part:
     seq: int
@@ -98,7 +96,7 @@ class ClockRows:
             self._parts.append(part)
         part.offset_ns = record.offset_ns
         self._anchors.append((record.index, part))
-        del self._anchors[1:-_MOST_ANCHORS], self.records[:-_MOST_ANCHORS]
+        del self._anchors[1:-MOST_ANCHORS], self.records[:-MOST_ANCHORS]
         return part.seq
 
     def split(self, batch: EstimateBatch, names: Names, numbers: Numbers) -> list[tuple[int, EstimateBatch]]:

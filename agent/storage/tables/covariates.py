@@ -13,6 +13,7 @@ from agent.records import CovariateMean
 from agent.storage.database.checksum import checked, with_crc
 from agent.storage.database.columns import columns_of, insert_sql
 from agent.types import IntArray
+from agent.units import HOUR_NS, HOUR_S, MINUTE_S
 
 
 def merged(connection: sqlite3.Connection, t_ns: IntArray, series: IntArray, length_ns: int) -> IntArray:
@@ -42,8 +43,6 @@ def _groups(connection: sqlite3.Connection, series: set[int]) -> dict[int, tuple
 
 Take = Callable[[str], int]
 """Gives the next number of a table."""
-MINUTE, HOUR = 60, 3600
-HOUR_NS = HOUR * 1_000_000_000
 _NAMES = columns_of("covariates")
 _LISTED = ", ".join(f"x.{name}" for name in _NAMES)
 _OF_RIG = f"""SELECT {_LISTED} FROM covariates x JOIN runs r ON r.seq = x.run_id
@@ -51,7 +50,7 @@ _OF_RIG = f"""SELECT {_LISTED} FROM covariates x JOIN runs r ON r.seq = x.run_id
 _NEWEST = """SELECT max(x.t_ns) FROM covariates x JOIN runs r ON r.seq = x.run_id
  JOIN rigs g ON g.seq = r.rig_id WHERE g.name = ?"""
 _OLD = (
-    f"SELECT {_LISTED} FROM covariates x WHERE x.run_id = ? AND x.span = {MINUTE} AND x.t_ns < ? "
+    f"SELECT {_LISTED} FROM covariates x WHERE x.run_id = ? AND x.span = {MINUTE_S} AND x.t_ns < ? "
     "ORDER BY x.seq"
 )
 
@@ -96,8 +95,8 @@ def _thin_run(connection: sqlite3.Connection, take: Take, run_id: int, before: i
         total, n = hours.get(key, (0.0, 0))
         hours[key] = total + mean.value * mean.n, n + mean.n
     for (name, unit, t_ns), (total, n) in hours.items():
-        cells = (take("covariates"), run_id, HOUR, t_ns, name, unit, total / n, n)
+        cells = (take("covariates"), run_id, HOUR_S, t_ns, name, unit, total / n, n)
         connection.execute(insert_sql("covariates"), with_crc(cells))
     connection.execute(
-        f"DELETE FROM covariates WHERE run_id = ? AND span = {MINUTE} AND t_ns < ?", (run_id, before)
+        f"DELETE FROM covariates WHERE run_id = ? AND span = {MINUTE_S} AND t_ns < ?", (run_id, before)
     )

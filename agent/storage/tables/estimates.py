@@ -8,6 +8,7 @@ import numpy as np
 
 from agent.storage.database.columns import COLUMN_BITS, numbers_crc
 from agent.storage.tables.rows import FitKey, Names, Numbers, Plan
+from agent.storage.tuning import NORMAL_DOF, SAME
 from agent.types import PER_HOP, BoolArray, EstimateBatch, FloatArray, IntArray, Reason, Status
 
 
@@ -42,8 +43,6 @@ def joined_runs(batches: Sequence[EstimateBatch]) -> Iterator[EstimateBatch]:
 
 _DIVERGED = (int(Status.INVALID) << 8) | int(Reason.DIVERGED)
 _VALID = int(Status.VALID)
-_SAME = 1e-9  # of an sd: what lower and upper may differ from value -+ t95 sd and still be left out
-_MANY = 1e9  # degrees of freedom from which on Student's t is normal; the file holds no infinity
 
 
 def add_estimates(plan: Plan, batch: EstimateBatch, run_id: int, names: Names, numbers: Numbers) -> None:
@@ -69,7 +68,7 @@ def _add_rows(
     value, sd, lower, upper, held, age = (
         _finite(a) for a in (batch.value, batch.sd, batch.lower, batch.upper, batch.held, batch.held_age_s)
     )
-    dof = _few_digits(np.minimum(batch.dof, _MANY))
+    dof = _few_digits(np.minimum(batch.dof, NORMAL_DOF))
     symmetric = _symmetric(value, sd, lower, upper, dof)
     fits = _fits(batch, dof, symmetric, names, chosen=place is None)
     numbered = (seq, _series(batch, run_id, names), fits, _verdicts(batch, value, sd, names))
@@ -127,7 +126,7 @@ def _symmetric(
     from scipy.special import stdtrit
 
     half = np.asarray(stdtrit(np.where(dof > 0, dof, np.nan), 0.975))[:, None] * sd
-    slack = _SAME * sd
+    slack = SAME * sd
     follows = (np.abs(value - half - lower) <= slack) & (np.abs(value + half - upper) <= slack)
     nothing = np.isnan(value) & np.isnan(lower) & np.isnan(upper)
     answer: BoolArray = follows | nothing

@@ -13,8 +13,6 @@ from agent.types import AlarmTransition
 
 Route = Callable[[AlarmTransition], Sequence[str]]
 State = Literal["pending", "done", "dead"]
-MOST_ERROR = 300
-"""Characters that are kept of what went wrong."""
 
 
 def nobody(_: AlarmTransition) -> Sequence[str]:

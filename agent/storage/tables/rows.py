@@ -9,11 +9,10 @@ from typing import Any
 
 from agent.storage.database.checksum import Cell, with_crc
 from agent.storage.database.columns import TABLES
+from agent.storage.tuning import MOST_FITS
 from agent.types import Reason, Status
 
 Row = tuple[Any, ...]
-MOST_FITS = 10_000
-"""Fits whose numbers are remembered, the newest: one that comes back after them is given another number."""
 
 VERDICTS = {
     (int(status) << 8) | int(reason): (

@@ -23,9 +23,8 @@ from agent.storage.tables.clocks import ClockRows, Coverage, add_run
 from agent.storage.tables.estimates import add_estimates, joined_runs
 from agent.storage.tables.records import EventRecordRows, HealthRows, LearntRows, add_one_row, add_score
 from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.storage.tuning import CELLS_A_COMMIT
 from agent.types import AlarmTransition, EstimateBatch
-
-_CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 
 log = logging.getLogger(__name__)
 
@@ -163,7 +162,7 @@ def _pieces(records: Sequence[Record]) -> list[EstimateBatch]:
     pieces: list[EstimateBatch] = []
     batches = [r for r in records if isinstance(r, EstimateBatch) and len(r)]
     for batch in joined_runs(batches):
-        hops = max(1, _CELLS_A_COMMIT // max(1, len(batch.parameters)))
+        hops = max(1, CELLS_A_COMMIT // max(1, len(batch.parameters)))
         if len(batch) <= hops:
             pieces.append(batch)
             continue

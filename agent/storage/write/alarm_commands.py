@@ -13,13 +13,11 @@ from agent.storage.database.columns import columns_of
 from agent.storage.tables.alarms import AlarmRow, alarm_of, event_cells, kind_of
 from agent.storage.tables.rows import Plan
 from agent.storage.tables.shelves import Moment, Shelf, left_ns, shelf_of
+from agent.storage.tuning import COMMAND_ALARMS, COMMENT_LETTERS, LONGEST_SHELF_NS
 from agent.storage.write.store import Store
 from agent.text import iso_time
 from agent.types import AlarmTransition
 
-LONGEST_SHELF_NS: Final = 7 * 86_400 * 10**9
-MOST_TEXT: Final = 1000
-MOST_ALARMS: Final = 1000
 _DONE: Final[Mapping[Cause, str]] = {
     "acknowledge": "acknowledged", "shelve": "shelved", "unshelve": "unshelved",
     "out of service": "out of service", "return": "returned to service",
@@ -70,8 +68,8 @@ class Request:
             "--comment": "" if self.comment is None else self.comment,
         }
         for path, text in texts.items():
-            if not isinstance(text, str) or len(text) > MOST_TEXT or not _is_unicode(text):
-                yield Fault(path, f"is no text of at most {MOST_TEXT} characters", "shorten it")
+            if not isinstance(text, str) or len(text) > COMMENT_LETTERS or not _is_unicode(text):
+                yield Fault(path, f"is no text of at most {COMMENT_LETTERS} characters", "shorten it")
         if not self.by:
             yield Fault("--by", "is empty", "say who does it")
         if self.cause == "shelve":
@@ -80,7 +78,7 @@ class Request:
 
 def _sound_ids(ids: object) -> tuple[int, ...]:
     """Return whole numbers, each once; none at all for what is no list of them or too long a one."""
-    if not isinstance(ids, list) or len(ids) > MOST_ALARMS:
+    if not isinstance(ids, list) or len(ids) > COMMAND_ALARMS:
         return ()
     return tuple(dict.fromkeys(ids)) if all(type(one) is int for one in ids) else ()
 

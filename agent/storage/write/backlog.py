@@ -14,10 +14,8 @@ import numpy as np
 
 from agent.records import ClockRecord, Record
 from agent.storage.tables.estimates import joined_runs
+from agent.storage.tuning import BOUNDS_S, FEW_CELLS, LONGEST_S, SHORTEST_S
 from agent.types import AlarmTransition, EstimateBatch
-
-BOUNDS_S = (0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 5.0, 10.0, 60.0)
-"""Upper ends of the bins, s; one more bin takes all beyond. Rows wait for a batch a second."""
 
 
 @dataclass(slots=True)
@@ -36,10 +34,6 @@ class Histogram:
         """Return each bin's upper end, as text, with the count of all values up to it."""
         ends = [*map(str, BOUNDS_S), "+Inf"]
         return [(end, sum(self.counts[: i + 1])) for i, end in enumerate(ends)]
-
-
-SHORTEST_S, LONGEST_S = 0.2, 5.0
-_FEW = 64  # so many small batches are joined into one, so that waiting rows cost their bytes and little more
 
 
 def cells_of(record: Record) -> int:
@@ -69,7 +63,7 @@ class Backlog:
         self._records.extend(records)
         self._cells += sum(map(cells_of, records))
         self._small += len(records)
-        if self._small > _FEW:
+        if self._small > FEW_CELLS:
             self._join()
         while self._cells > self._most and self._drop_oldest(reason):
             pass

@@ -24,15 +24,17 @@ from typing import Any
 
 from agent.errors import AgentError, Fault, StoreError
 from agent.storage.database.files import beside
+from agent.storage.tuning import (
+    LIFE_SIGN_S,
+    LONGEST_ANSWER,
+    LONGEST_REQUEST,
+    MOST_CALLERS,
+    MOST_COMMANDS,
+    PATIENCE_S,
+)
 
 GROUP = "deltak-command"
 Handler = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-_LONGEST = 65536  # bytes of a line that is asked
-_LONGEST_ANSWER = 1 << 26  # a status is 350 bytes a rig, a log 500 lines
-_PATIENCE_S = 5.0
-_LIFE_SIGN_S = 1.0
-_MOST_CALLERS = 16  # whose line is not complete; of more the one that has waited longest is cut off
-_MOST_COMMANDS = 4  # done at a time
 
 
 @dataclass(slots=True)
@@ -52,7 +54,7 @@ class _Caller:
         except OSError:
             more = b""
         self.line += more
-        return not more or self.line.endswith(b"\n") or len(self.line) > _LONGEST
+        return not more or self.line.endswith(b"\n") or len(self.line) > LONGEST_REQUEST
 
 
 class CommandServer:
@@ -83,7 +85,7 @@ class CommandServer:
     def stop(self) -> None:
         """End the thread and remove the socket; harmless when stopped."""
         self._stopping.set()
-        end = time.monotonic() + 2 * _PATIENCE_S
+        end = time.monotonic() + 2 * PATIENCE_S
         for thread in (self._thread, *self._talks):
             if thread.is_alive():
                 thread.join(max(0.0, end - time.monotonic()))
@@ -117,8 +119,8 @@ class CommandServer:
 
     def _cut_off(self, selector: selectors.BaseSelector) -> None:
         """Close the connections of those who take too long, oldest first."""
-        late = time.monotonic() - _PATIENCE_S
-        while self._callers and (len(self._callers) > _MOST_CALLERS or self._callers[0].since < late):
+        late = time.monotonic() - PATIENCE_S
+        while self._callers and (len(self._callers) > MOST_CALLERS or self._callers[0].since < late):
             caller = self._callers.pop(0)
             selector.unregister(caller.peer)
             caller.peer.close()
@@ -126,8 +128,8 @@ class CommandServer:
     def _begin(self, caller: _Caller) -> None:
         """Have a complete line answered in a thread of its own."""
         self._talks = [thread for thread in self._talks if thread.is_alive()]
-        if len(self._talks) >= _MOST_COMMANDS:
-            busy = {"ok": False, "error": f"{_MOST_COMMANDS} commands are being done; try again"}
+        if len(self._talks) >= MOST_COMMANDS:
+            busy = {"ok": False, "error": f"{MOST_COMMANDS} commands are being done; try again"}
             with caller.peer, suppress(OSError):
                 caller.peer.send(_line(busy))
             return
@@ -142,12 +144,12 @@ class CommandServer:
             target=lambda: answers.append(self._answer(caller.line)), name="command", daemon=True
         )
         worker.start()
-        worker.join(_LIFE_SIGN_S)
+        worker.join(LIFE_SIGN_S)
         with caller.peer, suppress(OSError):
-            caller.peer.settimeout(_PATIENCE_S)
+            caller.peer.settimeout(PATIENCE_S)
             while worker.is_alive():
                 caller.peer.sendall(b"\n")
-                worker.join(_LIFE_SIGN_S)
+                worker.join(LIFE_SIGN_S)
             caller.peer.sendall(_line(answers[0]))
 
     def _answer(self, line: bytes) -> Mapping[str, Any]:
@@ -186,7 +188,7 @@ def _listen(file: Path) -> socket.socket:
         with _short_name(file) as name:
             listener.bind(name)
         _admit(file, command_group())
-        listener.listen(_MOST_CALLERS)
+        listener.listen(MOST_CALLERS)
     except BaseException:
         listener.close()
         raise
@@ -246,7 +248,7 @@ class _short_name:  # noqa: N801 - used like a function
 
 def _read_line(peer: socket.socket, until: float | None = None) -> bytes:
     line = bytearray()
-    while not line.endswith(b"\n") and len(line) <= _LONGEST_ANSWER:
+    while not line.endswith(b"\n") and len(line) <= LONGEST_ANSWER:
         if until is not None:
             left = until - time.monotonic()
             if left <= 0:
@@ -272,7 +274,7 @@ def _line(answer: Mapping[str, Any]) -> bytes:
 
 
 def ask(
-    path: Path, command: str, timeout_s: float = _PATIENCE_S, *, brief: bool = False, **arguments: Any
+    path: Path, command: str, timeout_s: float = PATIENCE_S, *, brief: bool = False, **arguments: Any
 ) -> dict[str, Any]:
     """Ask the agent that owns a database; returns its answer once what was asked is committed.
 

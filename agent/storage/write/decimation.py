@@ -6,10 +6,8 @@ import numpy as np
 
 from agent.records import Record
 from agent.storage.tables.estimates import header_of, join
+from agent.storage.tuning import AFTER_S, BEFORE_S
 from agent.types import AlarmTransition, BoolArray, EstimateBatch, IntArray
-
-BEFORE_S = 10.0
-AFTER_S = 60.0
 
 
 class Thinner:

@@ -7,13 +7,11 @@ from typing import Any
 
 from agent.errors import Fault, StoreError
 from agent.storage.database.views import ALARM_NOTES
-from agent.storage.tables.notifications import MOST_ERROR, NotificationRow, notification, pending
+from agent.storage.tables.notifications import NotificationRow, notification, pending
 from agent.storage.tables.rows import Plan
+from agent.storage.tuning import MOST_ERROR, MOST_NAMED
 from agent.storage.write.store import Store
 from agent.types import AlarmTransition
-
-MOST = 1000
-"""Notifications that one command may name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,9 @@ def resend(store: Store, ids: object) -> list[dict[str, Any]]:
     """
     if not _are_numbers(ids):
         raise StoreError.at(
-            "notification", "is no list of numbers", f"name 1 to {MOST} of deltak notify list --dead"
+            "notification",
+            "is no list of numbers",
+            f"name 1 to {MOST_NAMED} of deltak notify list --dead",
         )
     asked = {seq: notification(store.connection, seq) if 0 < seq < 2**63 else None
              for seq in dict.fromkeys(ids)}  # type: ignore[call-overload]  # checked just now  # fmt: skip
@@ -123,7 +123,7 @@ def _refusal(store: Store, seq: int, row: NotificationRow | None) -> Fault:
 
 
 def _are_numbers(ids: object) -> bool:
-    return isinstance(ids, list) and 0 < len(ids) <= MOST and all(type(one) is int for one in ids)
+    return isinstance(ids, list) and 0 < len(ids) <= MOST_NAMED and all(type(one) is int for one in ids)
 
 
 def _keep(store: Store, rows: Sequence[NotificationRow]) -> None:

@@ -18,11 +18,21 @@ from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.tables.ages import Part, parts_of, shifts
 from agent.storage.tables.covariates import thin
 from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.storage.tuning import (
+    CELL_BYTES,
+    COVARIATE_BYTES,
+    FREE_PAGES,
+    GROWING_PARTS,
+    HEALTH_BYTES,
+    HOP_BYTES,
+    HOPS_A_PURGE,
+    KEPT_RECORDS,
+    SPREAD_BYTES,
+    YEAR_S,
+)
 from agent.storage.write.consumers.unsent import acknowledged, count_unsent
-from agent.storage.write.rollups import HOUR, MINUTE, SECOND, add_groups, aggregate
-
-KEPT = 100_000
-"""Events, alarms, verdicts, forecasts, trends, lost records: some 20 to 50 MB each: years of a quiet rig."""
+from agent.storage.write.rollups import add_groups, aggregate
+from agent.units import HOUR_S, MINUTE_S, SECOND_NS
 
 _OLD = "seq <= (SELECT seq FROM {table} ORDER BY seq DESC LIMIT 1 OFFSET ?)"
 _OVER = {"events": "", "hypotheses": "", "forecasts": "", "trends": "", "conditions": "", "notifications": "",
@@ -31,7 +41,7 @@ _OVER = {"events": "", "hypotheses": "", "forecasts": "", "trends": "", "conditi
 """What of a table may go: an alarm that stands and a record whose file is there stay, however old."""
 
 
-def surplus(connection: sqlite3.Connection, kept: int = KEPT) -> dict[str, list[int]]:
+def surplus(connection: sqlite3.Connection, kept: int = KEPT_RECORDS) -> dict[str, list[int]]:
     """Return the numbers of what `purge_logs` would delete, by the topic of consumers that it is of."""
     events, alarms = (_OLD.format(table=table) + _OVER[table] for table in ("events", "alarms"))
     queries = {
@@ -41,7 +51,7 @@ def surplus(connection: sqlite3.Connection, kept: int = KEPT) -> dict[str, list[
     return {topic: [seq for (seq,) in connection.execute(query, (kept,))] for topic, query in queries.items()}
 
 
-def purge_logs(connection: sqlite3.Connection, kept: int = KEPT) -> None:
+def purge_logs(connection: sqlite3.Connection, kept: int = KEPT_RECORDS) -> None:
     """Delete the oldest rows of what happened beyond a number; inside a transaction."""
     for table, over in _OVER.items():
         condition = _OLD.format(table=table) + over
@@ -52,13 +62,8 @@ def purge_logs(connection: sqlite3.Connection, kept: int = KEPT) -> None:
         connection.execute(f"DELETE FROM {table} WHERE {condition}", (kept,))
 
 
-_LATE_NS = 30 * SECOND  # rows kept for an alarm reach the store up to 10 s after later ones
-_STRETCH_NS = HOUR * SECOND  # aggregated and purged at a time
-_FREE_PAGES = 128
-_GROWING = 3  # parts of a run that rows may still come for
-_HOPS_A_PURGE = 10_000
-_YEAR_S = 365 * 86400
-_HOP_BYTES, _CELL_BYTES, _SPREAD_BYTES, _HEALTH_BYTES, _COVARIATE_BYTES = 47.0, 47.0, 38.0, 60.0, 77.0
+_LATE_NS = 30 * SECOND_NS  # rows kept for an alarm reach the store up to 10 s after later ones
+_STRETCH_NS = HOUR_S * SECOND_NS  # aggregated and purged at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,16 +103,16 @@ def bytes_per_rig_year(
     """
     period = max(every_s, hop_s)
     rows = [
-        min(max(keep.full_s, HOUR), _YEAR_S) / period,
-        min(keep.minute_s, _YEAR_S) / MINUTE,
-        min(keep.hour_s, _YEAR_S) / HOUR,
+        min(max(keep.full_s, HOUR_S), YEAR_S) / period,
+        min(keep.minute_s, YEAR_S) / MINUTE_S,
+        min(keep.hour_s, YEAR_S) / HOUR_S,
     ]
-    coarse = _HOP_BYTES + parameters * (_CELL_BYTES + _SPREAD_BYTES)
-    sizes = [_HOP_BYTES + parameters * windows * _CELL_BYTES, coarse, coarse]
-    health = sources * (min(keep.full_s, _YEAR_S) / 10 + _YEAR_S / HOUR) * _HEALTH_BYTES
-    beside = covariates * (rows[1] + rows[2]) * _COVARIATE_BYTES
+    coarse = HOP_BYTES + parameters * (CELL_BYTES + SPREAD_BYTES)
+    sizes = [HOP_BYTES + parameters * windows * CELL_BYTES, coarse, coarse]
+    health = sources * (min(keep.full_s, YEAR_S) / 10 + YEAR_S / HOUR_S) * HEALTH_BYTES
+    beside = covariates * (rows[1] + rows[2]) * COVARIATE_BYTES
     year = health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True))
-    return ceil(max(HOUR / period * sizes[0], min(keep.max_bytes, year)))
+    return ceil(max(HOUR_S / period * sizes[0], min(keep.max_bytes, year)))
 
 
 @dataclass(slots=True)
@@ -165,7 +170,7 @@ class TierKeeper:
         """Take up the part of a run that grows from now on; those that grew long before do not any more."""
         self._parts[run_id] = [*(p for p in self._parts.get(run_id, ()) if p != part), part]
         self._runs[part] = self._progress(part, growing=True)
-        for old in self._parts[run_id][:-_GROWING]:
+        for old in self._parts[run_id][:-GROWING_PARTS]:
             self._parts[run_id].remove(old)
             self._runs[old].growing = False
 
@@ -184,11 +189,11 @@ class TierKeeper:
     # --- aggregating ----------------------------------------------------------------------------------------
 
     def _progress(self, run_id: int, *, growing: bool = False) -> _Progress:
-        minute, hour = (self._newest(run_id, span) for span in (MINUTE, HOUR))
+        minute, hour = (self._newest(run_id, span) for span in (MINUTE_S, HOUR_S))
         oldest = self._oldest(run_id, 0)
         start = 0 if oldest is None else (oldest // _STRETCH_NS) * _STRETCH_NS
-        minute_ns = start if minute is None else minute + MINUTE * SECOND
-        return _Progress(minute_ns, start if hour is None else hour + HOUR * SECOND, growing)
+        minute_ns = start if minute is None else minute + MINUTE_S * SECOND_NS
+        return _Progress(minute_ns, start if hour is None else hour + HOUR_S * SECOND_NS, growing)
 
     def _newest(self, run_id: int, span: int) -> int | None:
         return _edge(self._store.connection, run_id, span, "DESC")
@@ -204,14 +209,14 @@ class TierKeeper:
             progress.minute_ns = progress.hour_ns = (
                 (self._oldest(run_id, 0) or 0) // _STRETCH_NS
             ) * _STRETCH_NS
-        over = newest + 1 + MINUTE * SECOND if finish else newest - _LATE_NS
-        progress.minute_ns = self._fill(run_id, MINUTE, progress.minute_ns, over)
-        over = progress.minute_ns + (HOUR * SECOND if finish else 0)
-        progress.hour_ns = self._fill(run_id, HOUR, progress.hour_ns, over)
+        over = newest + 1 + MINUTE_S * SECOND_NS if finish else newest - _LATE_NS
+        progress.minute_ns = self._fill(run_id, MINUTE_S, progress.minute_ns, over)
+        over = progress.minute_ns + (HOUR_S * SECOND_NS if finish else 0)
+        progress.hour_ns = self._fill(run_id, HOUR_S, progress.hour_ns, over)
 
     def _fill(self, run_id: int, span: int, first: int, over: int) -> int:
         """Aggregate whole periods from `first` on that end by `over`; return where the next starts."""
-        length = span * SECOND
+        length = span * SECOND_NS
         end = first + max(0, (over - first) // length) * length
         while first < end:
             stop = min(end, first + _STRETCH_NS)
@@ -229,10 +234,10 @@ class TierKeeper:
 
     def _skip(self, run_id: int, span: int, first: int, end: int) -> int:
         """Return the start of the next period that has rows, at most `end`; a run may pause for years."""
-        source = 0 if span == MINUTE else MINUTE
+        source = 0 if span == MINUTE_S else MINUTE_S
         query = "SELECT t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns >= ? ORDER BY t_ns LIMIT 1"
         found = self._store.connection.execute(query, (run_id, source, first)).fetchone()
-        return end if found is None else min(end, (found[0] // (span * SECOND)) * span * SECOND)
+        return end if found is None else min(end, (found[0] // (span * SECOND_NS)) * span * SECOND_NS)
 
     # --- purging --------------------------------------------------------------------------------------------
 
@@ -253,7 +258,7 @@ class TierKeeper:
             purge_logs(connection)
 
     def _purge_old(self) -> None:
-        tiers = (0, self._keep.full_s), (MINUTE, self._keep.minute_s), (HOUR, self._keep.hour_s)
+        tiers = (0, self._keep.full_s), (MINUTE_S, self._keep.minute_s), (HOUR_S, self._keep.hour_s)
         bounded = [(span, keep_s) for span, keep_s in tiers if isfinite(keep_s)]
         for part, now_ns in _ages(self._store.connection):
             for span, keep_s in bounded:
@@ -268,9 +273,9 @@ class TierKeeper:
     def _aggregated(self, run_id: int, span: int, before: int) -> int:
         """Return up to where the next tier holds what this one would lose."""
         progress = self._runs.get(run_id)
-        if progress is None or span == HOUR:
+        if progress is None or span == HOUR_S:
             return before
-        return progress.hour_ns if span == MINUTE else (progress.minute_ns // _STRETCH_NS) * _STRETCH_NS
+        return progress.hour_ns if span == MINUTE_S else (progress.minute_ns // _STRETCH_NS) * _STRETCH_NS
 
     def _sent(self) -> int:
         """Return the newest hop that every consumer has taken; a large number without consumers."""
@@ -290,7 +295,7 @@ class TierKeeper:
 
     def make_room(self) -> None:
         """Drop the oldest hour of rows unless the file has free pages already; for a full disk."""
-        if self._store.connection.execute("PRAGMA freelist_count").fetchone()[0] > _FREE_PAGES:
+        if self._store.connection.execute("PRAGMA freelist_count").fetchone()[0] > FREE_PAGES:
             return
         victim = self._oldest_anywhere()
         if victim is not None:
@@ -307,7 +312,7 @@ class TierKeeper:
     def _oldest_anywhere(self) -> tuple[int, int, int] | None:
         """Return (run, span, time) of the finest tier's oldest row; a rig's newest hour is never taken."""
         ages = _ages(self._store.connection)
-        for span in (0, MINUTE, HOUR):
+        for span in (0, MINUTE_S, HOUR_S):
             found = [
                 (oldest - now_ns, part.seq, oldest)
                 for part, now_ns in ages
@@ -325,7 +330,7 @@ class TierKeeper:
             "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? "
             "ORDER BY t_ns LIMIT ?"
         )
-        parts = (run_id, span, before, sent, _HOPS_A_PURGE)
+        parts = (run_id, span, before, sent, HOPS_A_PURGE)
         found = self._store.connection.execute(query, parts).fetchall()
         if not found:
             return False
@@ -344,11 +349,11 @@ class TierKeeper:
             self._store.count("purged unsent", unsent)
         if span == 0:
             count_unsent(self._store.connection, "estimates", hops, self._store.count, COLUMN_BITS)
-        return len(found) == _HOPS_A_PURGE
+        return len(found) == HOPS_A_PURGE
 
     def _note_purge(self, connection: sqlite3.Connection, run_id: int, span: int, reached: int) -> None:
         """Record from where a tier still stands, for the views, and how far numbers were given out."""
-        if span != HOUR:
+        if span != HOUR_S:
             left = _edge(connection, run_id, span, "ASC")
             reached = reached if left is None else min(reached, left)
             column = "full_from_ns" if span == 0 else "minute_from_ns"

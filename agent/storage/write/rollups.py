@@ -18,14 +18,12 @@ from agent.storage.database.columns import COLUMN_BITS, numbers_crc
 from agent.storage.tables.covariates import merged
 from agent.storage.tables.estimates import repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
+from agent.storage.tuning import LEAST_SD, NORMAL_DOF
 from agent.types import BoolArray, FloatArray, IntArray, Status
+from agent.units import MINUTE_S, SECOND_NS
 
-SECOND = 1_000_000_000
-MINUTE, HOUR = 60, 3600
 _VALID = int(Status.VALID) << 8
 _SEVERITY = {Status.VALID: 0, Status.WARMING: 1, Status.UNEXCITED: 2, Status.INVALID: 3}
-_LEAST_SD = 1e-150  # a noise-free replay may claim an sd of zero, whose weight would be infinite
-_NORMAL_DOF = 1e9
 
 _FULL_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coalesce(f.window_s, 0),
  f.n_used, f.n_missing,
@@ -75,12 +73,12 @@ def aggregate(
     connection: sqlite3.Connection, run_id: int, span: int, first_ns: int, end_ns: int
 ) -> Groups | None:
     """Return the aggregates of a run in first_ns <= t < end_ns; minutes from rows, hours from minutes."""
-    query, source = (_FULL_ROWS, 0) if span == MINUTE else (_MINUTE_ROWS, MINUTE)
+    query, source = (_FULL_ROWS, 0) if span == MINUTE_S else (_MINUTE_ROWS, MINUTE_S)
     found = connection.execute(query, (run_id, source, first_ns, end_ns))
     rows = np.fromiter(found, dtype=_MINUTES if source else _FULL)
     if not len(rows):
         return None
-    rows["series"] = merged(connection, rows["t_ns"], rows["series"], span * SECOND)
+    rows["series"] = merged(connection, rows["t_ns"], rows["series"], span * SECOND_NS)
     rows = rows[np.lexsort((rows["t_ns"], rows["series"]))]
     columns = [rows[name] for name in rows.dtype.names or ()]
     if not source:
@@ -110,7 +108,7 @@ def grouped(columns: Sequence[ArrayLike], span: int, source: int, first_ns: int)
     used, missing, n, n_valid, worst = (
         np.array(columns[place], dtype=np.int64) for place in (6, 7, 9, 10, 13)
     )
-    period = (t_ns // (span * SECOND)) * (span * SECOND)
+    period = (t_ns // (span * SECOND_NS)) * (span * SECOND_NS)
     starts = np.flatnonzero(np.r_[True, (series[1:] != series[:-1]) | (period[1:] != period[:-1])])
     valid = (verdict == _VALID) & np.isfinite(value) & np.isfinite(sd)
     mean, mean_repeat = _weighted(value, sd_repeat, share, valid, starts)
@@ -130,7 +128,7 @@ def _new_share(t_ns: IntArray, series: IntArray, window_s: FloatArray, source: i
     """Return the share of each row's window that the row before it does not cover; 1 for aggregates."""
     share = np.ones(len(t_ns))
     if source == 0 and len(t_ns) > 1:
-        step_s = np.diff(t_ns) / SECOND
+        step_s = np.diff(t_ns) / SECOND_NS
         with np.errstate(divide="ignore", invalid="ignore"):
             part = np.where(window_s[1:] > 0, step_s / window_s[1:], 1.0)
         share[1:] = np.where(series[1:] == series[:-1], np.clip(part, 0.0, 1.0), 1.0)
@@ -141,7 +139,7 @@ def _weighted(
     value: FloatArray, sd: FloatArray, share: FloatArray, valid: BoolArray, starts: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the weighted mean and its sd in each group; NaN where no row is valid."""
-    weight = np.where(valid, share / np.maximum(np.where(valid, sd, 1.0), _LEAST_SD) ** 2, 0.0)
+    weight = np.where(valid, share / np.maximum(np.where(valid, sd, 1.0), LEAST_SD) ** 2, 0.0)
     total = np.add.reduceat(weight, starts)
     # Deviations from the group's first valid value are averaged: weights may differ by many powers of ten.
     anchor = np.repeat(
@@ -181,7 +179,7 @@ def add_groups(plan: Plan, groups: Groups, run_id: int, span: int, names: Names,
     names.verdicts(set(np.unique(np.r_[verdict, worst]).tolist()))
     fits = zip(*(a[order].tolist() for a in (groups.window_s, groups.n_used, groups.n_missing)), strict=True)
     fit = np.array(
-        [names.fit((window or None, used, lost, _NORMAL_DOF, True, 1)) for window, used, lost in fits]
+        [names.fit((window or None, used, lost, NORMAL_DOF, True, 1)) for window, used, lost in fits]
     )
     none = np.full(len(seq), np.nan)
     value, sd = groups.value[order], groups.sd[order]

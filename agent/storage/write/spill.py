@@ -14,8 +14,7 @@ from agent.storage.database.columns import TABLES, columns_of, insert_sql
 from agent.storage.database.connect import build, connect_writer, transaction
 from agent.storage.database.files import beside, remove_database, sync_folder
 from agent.storage.database.verify import good_rows
-
-_ROWS_A_COMMIT = 20_000
+from agent.storage.tuning import ROWS_READ
 
 
 def spill_path(path: Path) -> Path:
@@ -67,7 +66,7 @@ def _move(source: sqlite3.Connection, target: sqlite3.Connection, table: str) ->
     query = f"SELECT {', '.join(columns_of(table))} FROM {table} ORDER BY seq"  # noqa: S608 - own names
     cursor = source.execute(query)
     moved = 0
-    while rows := cursor.fetchmany(_ROWS_A_COMMIT):
+    while rows := cursor.fetchmany(ROWS_READ):
         sound = [row for row, right in zip(rows, good_rows(table, rows), strict=True) if right]
         with transaction(target):
             target.executemany(insert_sql(table, "INSERT OR REPLACE"), sound)

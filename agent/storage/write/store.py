@@ -14,7 +14,6 @@ from agent.storage.database.columns import insert_rows
 from agent.storage.database.compaction import BrokenOffError, compact, remove_left_over
 from agent.storage.database.connect import (
     FRAME_BYTES,
-    WAL_BOUND,
     cause_of,
     code_of,
     connect_writer,
@@ -47,15 +46,13 @@ from agent.storage.tables.records import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows, run_plan
 from agent.storage.tables.shelves import Shelf
+from agent.storage.tuning import CELLS_A_CHECKPOINT, COMMITS_A_CHECKPOINT, LAG_MEMORY_NS, WAL_BOUND
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
 from agent.types import AlarmTransition, Learnt
 
-_COMMITS_A_CHECKPOINT = 300
-_CELLS_A_CHECKPOINT = 20_000
 _FRAMES_BEFORE_SPILL = WAL_BOUND * 5 // 8 // FRAME_BYTES
-_MEMORY_NS = 5 * 86_400 * 10**9  # five times the longest lag of a machine behind a covariate
 _FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
 
 
@@ -284,7 +281,7 @@ class Store:
     def covariates(self, rig: str) -> list[CovariateMean]:
         """Return the newest means of a rig's covariates, as far back as a machine may lag behind them."""
         with self._mutex:
-            return newest_means(self.connection, rig, _MEMORY_NS)
+            return newest_means(self.connection, rig, LAG_MEMORY_NS)
 
     def add_baselines(self, baselines: Sequence[Baseline]) -> list[Baseline]:
         """Store baselines, each in place of its parameter's; return them with their numbers, committed."""
@@ -334,7 +331,7 @@ class Store:
 
     def _checkpoint_if_due(self) -> None:
         commits, cells = self._since_checkpoint
-        if commits >= _COMMITS_A_CHECKPOINT or cells >= _CELLS_A_CHECKPOINT:
+        if commits >= COMMITS_A_CHECKPOINT or cells >= CELLS_A_CHECKPOINT:
             frames, moved = self.checkpoint()
             if self._side is None and moved < frames > _FRAMES_BEFORE_SPILL:
                 self._side = open_spill(self.path)

@@ -19,9 +19,9 @@ from pathlib import Path
 from agent.storage.database.files import beside
 from agent.storage.recovery.page_carving import scan_log
 from agent.storage.tables.rows import Row
+from agent.storage.tuning import MOST_AHEAD
 
-_PLACE = 64  # after the lock's signature, in the same sector
-_MOST_AHEAD = 4_000_000  # rows that a log and a side file can hold; a note further ahead is none
+_PLACE = 64  # fixed by SQLite's file format: after the lock's signature, in the same sector
 _TABLES = {"hops": "instants", "alarm_events": "steps of alarms", "health": "ledger rows", "events": "events"}
 
 
@@ -63,7 +63,7 @@ class Watermarks:
         found = [_highs(file) for file in files]
         reached = {t: max((f.get(t, high) for f in found), default=high) for t, high in self.highs.items()}
         ahead = {
-            t: high - reached[t] for t, high in self.highs.items() if 0 < high - reached[t] <= _MOST_AHEAD
+            t: high - reached[t] for t, high in self.highs.items() if 0 < high - reached[t] <= MOST_AHEAD
         }
         self.highs |= {t: reached[t] for t in self.highs if t not in ahead}
         if not ahead:

@@ -2,16 +2,8 @@
 
 import random
 
-from agent.alarms.rates import (
-    DAY_NS,
-    MINUTE_NS,
-    TEN_MINUTES_NS,
-    Announced,
-    Flood,
-    floods_of,
-    most_within,
-    rates,
-)
+from agent.alarms.rates import TEN_MINUTES_NS, Announced, Flood, floods_of, most_within, rates
+from agent.units import DAY_NS, MINUTE_NS
 
 K1, K2 = ("press-7", "level", "k1"), ("press-7", "level", "k2")
 

@@ -1,6 +1,7 @@
 """What is told of a source: once an episode, by its most telling cause."""
 
-from agent.blocks.source_events import QUIET_NS, SETTLE_NS, Signs, SourceEvents
+from agent.blocks.source_events import Signs, SourceEvents
+from agent.blocks.tuning import QUIET_NS, SETTLE_NS
 
 MS = 1_000_000
 

@@ -6,9 +6,9 @@ from math import inf, isfinite, pi
 import numpy as np
 
 from agent.blocks.rig_model import RigModel
-from agent.commissioning.limits import FEW_A_PERIOD, FEWER_A_PERIOD, LIVELY, MARGINAL
 from agent.commissioning.prediction import Prediction, sampled, windows
 from agent.commissioning.readings import Recorded
+from agent.commissioning.tuning import FEW_A_PERIOD, FEWER_A_PERIOD, LIVELY, MARGINAL
 from agent.config import RigConfig
 from agent.config.reading.units import near_miss
 from agent.errors import Fault

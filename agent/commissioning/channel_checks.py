@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.commissioning.limits import LEVELS
+from agent.commissioning.tuning import LEVELS
 from agent.config import RigConfig
 from agent.numerics.fitting.channel_constants import STILL
 from agent.numerics.preprocessing.noise import ROUND_OFF, sensor_noise

@@ -19,6 +19,7 @@ from agent.commissioning.recorded_windows import (
     recentring_faults,
     recentring_ratio,
 )
+from agent.commissioning.tuning import OBSERVER_ROUNDS, WORST_ROUNDS
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
 from agent.numerics.model.margins import condition_3, condition_8
@@ -43,8 +44,6 @@ from agent.types import FloatArray
 from drivers.port import DriverConfigError
 
 T = TypeVar("T")
-ROUNDS, OBSERVER_ROUNDS = 8, 3
-"""Of line searches for the worst point; each point of the observer's costs an exponential."""
 _NOTHING: dict[str, Any] = {
     "observable": None, "poles": [], "observer": None, "condition_3": None, "condition_8": None,
     "region": None,
@@ -240,7 +239,7 @@ def _region(config: RigConfig, rig: RigModel, gain: FloatArray) -> dict[str, Any
     found = {}
     for name, measure in measures.items():
         worst = worst_in_box(
-            measure, nominal, rig.limits, OBSERVER_ROUNDS if name == "radius_observer" else ROUNDS
+            measure, nominal, rig.limits, OBSERVER_ROUNDS if name == "radius_observer" else WORST_ROUNDS
         )
         found[name] = {
             "nominal": abs(measure(nominal)), "value": abs(worst.value),

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent.commissioning.limits import DRIFTS_PPM, LISTEN_S, OFF_RATE
 from agent.commissioning.misassignment import findings, warnings_of
 from agent.commissioning.probe import listen
 from agent.commissioning.progress import Progress, silent
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import read_recording
+from agent.commissioning.tuning import DRIFTS_PPM, LISTEN_S, OFF_RATE
 from agent.config import RigConfig
 from agent.errors import Fault
 

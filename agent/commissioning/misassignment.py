@@ -8,7 +8,7 @@ import numpy as np
 from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.channel_checks import plain_findings, suspicion
-from agent.commissioning.limits import PLAINER, STRETCHES
+from agent.commissioning.tuning import PLAINER, STRETCHES
 from agent.config import RigConfig
 from agent.config.model.tables import Channel
 from agent.errors import Fault

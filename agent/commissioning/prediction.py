@@ -9,7 +9,8 @@ import numpy as np
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, output_noise
 from agent.blocks.statistical_rig import statistical_rig
-from agent.commissioning.limits import (
+from agent.commissioning.readings import Recorded
+from agent.commissioning.tuning import (
     DECAY_FROM,
     FORCE_RMS,
     GUESSED_NOISE,
@@ -17,7 +18,6 @@ from agent.commissioning.limits import (
     SETTLE_MOST,
     SPAN_MOST,
 )
-from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.numerics.fitting.fit import GREATEST
 from agent.numerics.fitting.information import PredictedSd, predicted_sd

@@ -4,9 +4,9 @@ import threading
 from collections.abc import Sequence
 
 from agent.clock import monotonic_ns
-from agent.commissioning.limits import LISTEN_S, PATIENCE_S, TURN_S
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Gathering
+from agent.commissioning.tuning import LISTEN_S, PATIENCE_S, TURN_S
 from agent.config import RigConfig
 from agent.errors import BusError, ConfigError, Fault, UsageError
 from agent.runtime.assembly.source_faults import source_faults

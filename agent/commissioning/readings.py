@@ -12,7 +12,7 @@ from agent.blocks.acquisition.interface import SourceState
 from agent.blocks.acquisition.source_clocks import SourceClocks
 from agent.blocks.covariates.readings import readings
 from agent.blocks.friction import dry_friction
-from agent.commissioning.limits import AHEAD, CALM, LEAST_ROWS, MOST_ROWS, ORDER, REACH
+from agent.commissioning.tuning import AHEAD, CALM, LEAST_ROWS, MOST_ROWS, ORDER, REACH
 from agent.config import RigConfig
 from agent.config.sections.covariates import Covariate
 from agent.numerics.model.sensors import with_constant

@@ -16,6 +16,7 @@ from agent.commissioning.prediction import (
     windows,
 )
 from agent.commissioning.readings import Recorded
+from agent.commissioning.tuning import NOISE_OF_MORE, SEEN_WINDOWS, SHARE_OF_MORE, WEAKEST
 from agent.config import RigConfig
 from agent.errors import Fault
 from agent.numerics.fitting.information import bound_sd, window_information
@@ -34,15 +35,6 @@ from agent.numerics.paper.seed import (
 )
 from agent.runtime.assembly.model_check import blend_in_words, blend_named, further_outputs
 from agent.types import FloatArray
-
-WEAKEST = 1.0
-"""Standard deviation of a change, in sizes of the parameters, beyond which a window does not tell it."""
-SEEN_WINDOWS = 5
-"""Of a recording that are looked at."""
-NOISE_OF_MORE = 1e-3
-"""Noise of an output that is not there yet, as a share of what it would read."""
-SHARE_OF_MORE = 1e-2
-"""The same of one that would show what windows leave vague."""
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,10 @@
 """What must hold in what data sheets leave open: of masses, gains, delays and the sensors' noise."""
 
-from typing import Final
-
 from agent.config.draft import Draft
 from agent.config.model.tables import Channel, Mass, MechanicsModel
 from agent.config.reading.fields import Table, shown
 from agent.config.reading.parse import Entry, Faults, readable
-
-MOST_PERCENT: Final = 50.0
-"""Beyond it a constant is not known but for its sign: it is to be estimated."""
-MOST_SPREAD: Final = 5.0
-"""Spread of a noise of which nothing is known."""
+from agent.config.tuning import MOST_PERCENT, MOST_SPREAD
 
 
 def check_constants(draft: Draft) -> None:

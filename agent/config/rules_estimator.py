@@ -10,14 +10,8 @@ from agent.config.reading.fields import shown
 from agent.config.reading.messages import listing, nearest
 from agent.config.reading.parse import Faults, readable
 from agent.config.tables import Alarm, Observer
+from agent.config.tuning import COPIES, LEAST_EVERY_S, MOST_GB
 from agent.text import counted
-
-MOST_GB = 1.0
-"""What the linearised samples of a window may take."""
-LEAST_EVERY_S = 1.0
-"""Between two forecasts of a parameter."""
-COPIES = 6
-"""How often they are in memory meanwhile, as measured on a million samples of two masses."""
 
 
 def check_estimator(draft: Draft) -> None:

@@ -1,20 +1,16 @@
 """What must hold in a linear model: shapes of its matrices, what parameters change, its rate, its poles."""
 
 from collections.abc import Iterable
-from typing import Final
 
 from agent.config.draft import Draft
 from agent.config.model.linear import ENTRY, MATRICES, LinearModel, LinearParameter
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import listing
 from agent.config.reading.parse import Entry, Faults, readable, unique
+from agent.config.tuning import SAME_RATE, UNSTABLE
 from agent.text import counted
 
 Matrix = tuple[tuple[float, ...], ...]
-SAME_RATE: Final = 1e-6
-"""Share by which the rate of a model and that of its rig may differ by rounding."""
-UNSTABLE: Final = 1.0 + 1e-6
-"""Radius of a pole in discrete time beyond which a motion grows, by more than rounding explains."""
 
 
 def check_linear(draft: Draft, model: LinearModel) -> None:

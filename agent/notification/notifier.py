@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from agent.clock import wall_ns
 from agent.config.sections.results import Notify
@@ -20,20 +20,18 @@ from agent.errors import AgentError
 from agent.notification.message import Message, message_of
 from agent.notification.routing import quiet_s
 from agent.notification.senders import SendError, send
+from agent.notification.tuning import (
+    IDLE_S,
+    MESSAGES_AT_NIGHT,
+    MESSAGES_AT_ONCE,
+    PAUSE_S,
+    REMEMBERED,
+    STORE_S,
+)
 from agent.storage.tables.notifications import NotificationRow
 from agent.storage.write.jobs import Job
 from agent.storage.write.notifications import Due, catch_up, due, note_done, note_failure
 from agent.types import AlarmTransition
-
-PAUSE_S: Final = 1.0, 600.0
-"""After a failed attempt, at least and, doubled each time, at most."""
-_AT_ONCE: Final = 100
-_AT_NIGHT: Final = 1000
-"""Messages that are looked at together, and in quiet hours, where a critical one may be far behind."""
-_IDLE_S: Final = 3600.0
-_STORE_S: Final = 2.0
-"""Until a store that cannot be written is asked again."""
-_REMEMBERED: Final = 10_000
 
 log = logging.getLogger(__name__)
 Send = Callable[[Notify, Message, Path], None]
@@ -72,7 +70,7 @@ class Notifier:
         self._shortest_s, self._longest_s = pause_s
         self._wanted = wanted
         self._failures = 0
-        self._delivered: deque[int] = deque(maxlen=_REMEMBERED)
+        self._delivered: deque[int] = deque(maxlen=REMEMBERED)
         self._due = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._work, name=f"notify-{target.name}", daemon=True)
@@ -108,14 +106,14 @@ class Notifier:
             return self._round()
         except (AgentError, sqlite3.Error, OSError) as error:
             log.info("%s: what is to be sent is not known now: %s", self.target.name, error)
-            return _STORE_S
+            return STORE_S
 
     def _round(self) -> float:
         if self._wanted is not None:
             self._ask(partial(catch_up, target=self.target.name, wanted=self._wanted))
             self._wanted = None
         quiet = quiet_s(self.target, self._now())
-        most = _AT_NIGHT if quiet else _AT_ONCE
+        most = MESSAGES_AT_NIGHT if quiet else MESSAGES_AT_ONCE
         found: Sequence[Due] = self._ask(partial(due, target=self.target.name, most=most))
         # what a side file says of a row that was sent may not be in the file yet
         found = [one for one in found if one.row.seq not in self._delivered]
@@ -123,8 +121,8 @@ class Notifier:
             if self._stopping.is_set() or not self._sent(one):
                 return self._back_off_s()
         if quiet:
-            return min(quiet, _IDLE_S)
-        return 0.0 if len(found) == _AT_ONCE else _IDLE_S
+            return min(quiet, IDLE_S)
+        return 0.0 if len(found) == MESSAGES_AT_ONCE else IDLE_S
 
     def _sent(self, one: Due) -> bool:
         """Make one attempt and note what came of it; tell whether the next message may follow."""
@@ -145,7 +143,7 @@ class Notifier:
                 return
             except (AgentError, sqlite3.Error, OSError) as error:
                 log.info("%s: what was sent cannot be noted now: %s", self.target.name, error)
-            if self._stopping.wait(_STORE_S):
+            if self._stopping.wait(STORE_S):
                 return
 
     def _failed(self, row: NotificationRow, words: str) -> bool:

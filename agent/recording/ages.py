@@ -8,10 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from agent.recording.tuning import SAVE_S
 from agent.storage.database.files import opened
-
-_SAVE_S = 600.0
-"""How often the time that ran is saved; a power cut loses no more of it, and files stay that much longer."""
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +44,7 @@ class Ages:
         now = self._now()
         before = self._ended
         self._ended = {name: before.get(name, now) for name in names}
-        due = time.monotonic() - self._saved_s >= _SAVE_S
+        due = time.monotonic() - self._saved_s >= SAVE_S
         if self._path.parent.is_dir() and (due or self._ended.keys() != before.keys()):
             self._save()
 

@@ -37,6 +37,7 @@ _HEAD = struct.Struct("<qqIIHH")
 _FRAME = struct.Struct("<II")
 _LONGEST_BLOCK = 1 << 30
 _COUNTER, _TIMES, _OFFSET, _RECEIVED = 1, 2, 4, 8
+"""Fixed by this file's format: bytes of a block that is no damage, and flags of what it holds."""
 
 
 def encode_header(header: RawHeader) -> bytes:

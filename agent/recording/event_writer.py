@@ -27,9 +27,9 @@ from agent.recording.event_files import (
 from agent.recording.folder import AGES, make_folder, room
 from agent.recording.header import RawHeader
 from agent.recording.states import Rounds, State, state_bytes
+from agent.recording.tuning import MOST_JOBS
 from agent.records import EventRecord, HealthEvent, Record
 
-MOST_JOBS = 8
 SUFFIX = ".events"
 ENDED = "the agent ended before all of it had come"
 

@@ -19,25 +19,13 @@ from agent.config import RigConfig
 from agent.recording.event_files import Labels, Taken
 from agent.recording.event_writer import Job
 from agent.recording.states import State
+from agent.recording.tuning import LEAST_STATE_S, LONGEST_RECORD, MOST_BYTES, OBJECT_BYTES, PATIENCE_S, STATES
 from agent.records import EventRecord, HealthEvent, Record
 from agent.types import AlarmTransition, EstimateBatch, IntArray
+from agent.units import HOUR_S
 from drivers.port import SampleBlock
 
 Label = Callable[[IntArray], IntArray]
-MOST_BYTES = 64 << 20
-"""Of blocks that wait in memory for an alarm."""
-OBJECT_BYTES = 1024
-"""What a block takes beside its numbers: most of it, where a slow device delivers one sample at a time."""
-LONGEST = 4
-"""Alarms raised meanwhile lengthen a record to at most so many times its after_s."""
-STATES = 3
-"""States of the pipeline that wait in memory for an alarm, over a megabyte each: one for each half of what a
-record holds before it, and one for alarms of samples that are not the newest."""
-LEAST_STATE_S = 0.25
-"""From one state to the next at least: each takes a few milliseconds."""
-PATIENCE_S = 2.0
-"""A record ends this long after its time even if no samples come."""
-_HOUR_S = 3600.0
 _OF_YEARS = frozenset({"forecast", "rate"})
 """Kinds of alarms that no moment leads to: the samples around them say nothing."""
 
@@ -233,7 +221,7 @@ class EventKeeper:
             "recording", alarm.t_ns, alarm.t_ns, 0, 0, self._baselines.get(alarm.parameter),
         )  # fmt: skip
         until_s = now + self._after_s + PATIENCE_S
-        last, last_s = at + LONGEST * self._after, now + LONGEST * self._after_s + PATIENCE_S
+        last, last_s = at + LONGEST_RECORD * self._after, now + LONGEST_RECORD * self._after_s + PATIENCE_S
         since = at - self._before
         state = self._state_before(at, since)
         first = self._serial if state is None else state.serial
@@ -256,13 +244,13 @@ class EventKeeper:
 
     def _may_begin(self, now: float) -> bool:
         """Tell whether one more record may begin this hour; the first that may not is reported."""
-        while self._begun and now - self._begun[0] > _HOUR_S:
+        while self._begun and now - self._begun[0] > HOUR_S:
             self._begun.popleft()
         if len(self._begun) < self._config.store.events.per_hour:
             self._begun.append(now)
             return True
         self.skipped += 1
-        if now - self._reported_s > _HOUR_S:
+        if now - self._reported_s > HOUR_S:
             self._reported_s = now
             words = f"{len(self._begun)} event records were made within the hour; alarms go on without"
             self._publish(

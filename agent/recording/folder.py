@@ -8,10 +8,9 @@ from math import isfinite
 from pathlib import Path
 
 from agent.recording.ages import Ages
+from agent.recording.tuning import LEAST_FREE
 from agent.storage.database.files import sync_folder
 
-LEAST_FREE = 64 << 20
-"""Bytes of the disk, or a tenth of a small one, that recordings leave to the database."""
 AGES = ".ages"
 """Ending of the file that says how old the others are."""
 

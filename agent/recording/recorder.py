@@ -12,15 +12,11 @@ from typing import NamedTuple, Protocol
 from agent.recording import blocks, capture
 from agent.recording.folder import SegmentFolder, make_folder, room
 from agent.recording.header import RawHeader
+from agent.recording.tuning import FLUSH_S, SEGMENT_BYTES, SEGMENT_S
 from agent.storage.database.files import sync_folder
 from drivers.port import Capture, SampleBlock
 
 log = logging.getLogger(__name__)
-
-PERIOD_S = 1.0
-SEGMENT_BYTES = 16 << 20
-SEGMENT_S = 3600.0
-"""A file that is older ends even when it is small, so that an age can be kept to."""
 
 
 class Limits(NamedTuple):
@@ -112,7 +108,7 @@ class Recorder:
             with self._condition:
                 # one write and sync a period: a flash wears by the number of them
                 self._condition.wait_for(
-                    lambda: self._stopping or len(self._queue) >= self._most // 2, PERIOD_S
+                    lambda: self._stopping or len(self._queue) >= self._most // 2, FLUSH_S
                 )
                 waiting = list(self._queue)
                 over = self._stopping

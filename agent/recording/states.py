@@ -17,9 +17,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from agent.recording.event_files import Labels, Taken
+from agent.recording.tuning import STATE_BYTES
 
-STATE_BYTES: Final = 16 << 20
-"""A pipeline that takes more is not kept: it would cost more to remember than to explain is worth."""
 _PACKAGES: Final = (
     "agent.numerics.", "agent.blocks.", "agent.config.", "agent.types", "agent.alarms.",
     "agent.runtime.pipeline",

@@ -17,8 +17,8 @@ PACKAGE_DEPTH = {"agent/numerics": 3, "agent": 2, "drivers": 2, "sim_bus": 1}
 FIXED = re.compile(r"fixed by \w+", re.IGNORECASE)
 """Says who has fixed a number that is not tuned: a standard, a format, an operating system, a definition."""
 UNSORTED = (
-    "agent/cli", "agent/commissioning", "agent/config", "agent/evaluation", "agent/northbound",
-    "agent/notification", "agent/numerics", "agent/prognosis", "agent/recording", "agent/runtime",
+    "agent/cli", "agent/northbound",
+    "agent/numerics", "agent/prognosis", "agent/runtime",
 )  # fmt: skip
 """Packages whose numbers are not sorted yet."""
 

@@ -127,7 +127,7 @@ def test_alarm_within_a_record_lengthens_it_and_a_later_one_begins_another(rig: 
 def test_restless_alarm_does_not_lengthen_a_record_for_ever(rig: Rig) -> None:
     rig.feed(3000, 10, raised=range(1000, 3000, 50))
     first = next(i for i, job in enumerate(rig.pen.jobs) if job.record.state == "complete")
-    assert rig.held(first)[-1] == 1000 + events.LONGEST * 200
+    assert rig.held(first)[-1] == 1000 + events.LONGEST_RECORD * 200
 
 
 def test_more_records_than_an_hour_may_have_are_counted_and_told_once(rig: Rig) -> None:

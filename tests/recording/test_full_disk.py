@@ -46,7 +46,7 @@ def test_recorder_on_a_full_disk_goes_on_once_there_is_room_and_what_was_synced_
     disk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "room", lambda _: 1)
-    monkeypatch.setattr(recorder, "PERIOD_S", 0.01)
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.01)
     events: list[str] = []
     arrived = threading.Event()
     own = Recorder(disk, HEADER, tell=lambda cause, _: (events.append(cause), arrived.set())[-1])

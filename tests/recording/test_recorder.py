@@ -289,7 +289,7 @@ def test_recorder_writes_and_syncs_no_more_often_than_once_a_period(
 ) -> None:
     synced: list[int] = []
     monkeypatch.setattr("agent.recording.blocks.os.fdatasync", synced.append)
-    monkeypatch.setattr("agent.recording.recorder.PERIOD_S", 60.0)
+    monkeypatch.setattr("agent.recording.recorder.FLUSH_S", 60.0)
     recorder = recorded(tmp_path, [block(i) for i in range(500)])
     assert recorder.recorded == 25_000
     assert len(synced) == 1

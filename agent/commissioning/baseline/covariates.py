@@ -7,6 +7,7 @@ from math import ceil
 import numpy as np
 
 from agent.commissioning.baseline.target import Target
+from agent.commissioning.tuning import EDGES, HELD_TIMES, PRESENT
 from agent.config.sections.covariates import BaselineTable
 from agent.errors import Fault
 from agent.numerics.reference.covariates.dependence import Dependence
@@ -18,16 +19,6 @@ from agent.storage.read.covariates import Means
 from agent.storage.read.points import Points
 from agent.text import number, percent
 from agent.types import BoolArray, FloatArray, IntArray
-
-BEFORE_NS = 5 * 86_400 * 10**9
-"""How long before a stretch its covariates are looked at: a machine lags behind them."""
-HELD = 3
-"""Times between readings for which the last one stands."""
-PRESENT = 0.5
-"""Share of the periods with rows in which a covariate must be known."""
-EDGES = (0.005, 0.995)
-"""Quantiles between which a covariate was learnt, and of its history where nothing states its range."""
-T95 = 1.96
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +103,7 @@ def _within(found: Means, first_ns: int, last_ns: int) -> BoolArray:
 def _ready(name: str, found: Means, own: FloatArray, edges: FloatArray) -> Ready:
     center = float(own.mean())
     step = float(np.median(np.diff(found.number))) if len(found.number) > 1 else 1.0
-    hold = max(HELD, ceil(HELD * step))
+    hold = max(HELD_TIMES, ceil(HELD_TIMES * step))
     grid = series(found.number, found.value, center, hold)
     return Ready(name, found.unit, center, float(own.std()), hold, grid, edges)
 
@@ -185,8 +176,8 @@ def depends(t_ns: IntArray, value: FloatArray, period_s: float, ready: Sequence[
 def _dependence(one: Ready, was: Found, lagged: FloatArray) -> Dependence:
     low, high = np.quantile(lagged, EDGES) + one.center
     return Dependence(
-        one.name, one.unit, was.coefficient, was.sd, was.coefficient - T95 * was.sd,
-        was.coefficient + T95 * was.sd,
+        one.name, one.unit, was.coefficient, was.sd, was.coefficient - 1.96 * was.sd,
+        was.coefficient + 1.96 * was.sd,
         was.lag.shape, was.lag.seconds, was.lag_lower_s, was.lag_upper_s, one.center, float(low), float(high),
         one.spread, one.hold * PERIOD_S, was.significant,
     )  # fmt: skip

@@ -17,7 +17,7 @@ from agent.storage import maintenance
 from agent.storage.read import baselines, queries
 
 FORM = "deltak baselines"
-VERSION = 1
+VERSION = 1  # fixed by the document's form
 
 
 def exported(path: Path, rig: str | None) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from agent.commissioning.baseline.covariates import Ready, depends, known_rows, read, same, taken_out, unready
 from agent.commissioning.baseline.target import Target, target_of
+from agent.commissioning.tuning import DOUBTFUL_PERIODS, LEAST_PERIODS
 from agent.config.sections.covariates import BaselineTable
 from agent.errors import Fault, UsageError
 from agent.numerics.reference.covariates.dependence import written
@@ -23,11 +24,6 @@ from agent.storage import maintenance
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.text import number, percent
-
-LEAST_PERIODS = 24
-"""Periods that a baseline needs: the spread of fewer is known to no better than a fifth."""
-DOUBTFUL = 5.0
-"""Independent periods below which what was learnt may be a drift."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +86,7 @@ def _covariates(target: Target, table: BaselineTable, found: Sequence[Points], h
 
 def _doubt(one: Baseline) -> str:
     """Return why a baseline is little to rely on; empty where it is not."""
-    if one.n_effective >= DOUBTFUL:
+    if one.n_effective >= DOUBTFUL_PERIODS:
         return ""
     few = number(one.n_effective, 2)
     told = f"{one.parameter} moved so slowly that its periods tell no more than {few} independent ones"

@@ -8,6 +8,7 @@ import numpy as np
 
 from agent.blocks.covariates.compensation import dependences
 from agent.commissioning.baseline.target import Target, configured, target_of
+from agent.commissioning.tuning import LITTLE_HOURS, ORDINARY, PER_YEAR, RESOLVE
 from agent.config import Alarm, RigConfig
 from agent.errors import Fault, StoreError, UsageError
 from agent.numerics.reference.limits import Healthy, false_per_year, proposed
@@ -17,11 +18,6 @@ from agent.text import number
 
 RECENT = ("10m", "1d", None)
 """How far back rows are looked at for their sd and window: no farther than there are some."""
-RESOLVE = 0.33
-"""What `estimator.resolve` is by default."""
-ORDINARY = 0.9
-"""Share of rows that must not become unexcited by a limit."""
-PER_YEAR = 1.0
 
 
 def limits(
@@ -85,15 +81,11 @@ def _words(one: Baseline, healthy: Healthy, row: Mapping[str, Any]) -> str:
     said = (
         f"finds a change of {number(row['finds'], 3)} {one.unit} within {number(row['finds_within_s'], 3)} s"
     )
-    if one.n_effective < LITTLE:
+    if one.n_effective < LITTLE_HOURS:
         said += f"; rests on {number(one.n_effective, 2)} independent hours: learn longer for a smaller limit"
     elif row["limit"] <= 1.02 * healthy.least:
         said += "; a longer window would allow a smaller limit"
     return said
-
-
-LITTLE = 10.0
-"""Independent hours below which the spread itself is hardly known."""
 
 
 def healthy_of(target: Target, one: Baseline) -> Healthy | None:

@@ -15,6 +15,7 @@ import numpy as np
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.rig_model import estimated
 from agent.commissioning.baseline.target import target_of
+from agent.commissioning.tuning import NEAR_NS
 from agent.config import Alarm, RigConfig, load
 from agent.errors import UsageError
 from agent.records import Baseline
@@ -23,8 +24,6 @@ from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status
 
 Row = Mapping[str, Any]
-NEAR_NS = 10_000_000_000
-"""Two activations are of one event where no more than this lies between them."""
 _STATUS = {status.name.lower(): int(status) for status in Status}
 
 

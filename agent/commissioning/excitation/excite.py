@@ -19,6 +19,7 @@ from agent.commissioning.prediction import Excitation, completed, expected_noise
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import read_recording
+from agent.commissioning.tuning import MOST_SAMPLES, MOVING_TIMES, ROUNDING, SHOWN_SHARE, SIGNAL_DIGITS
 from agent.config import RigConfig, load
 from agent.errors import ModelError, RecordingError, UsageError
 from agent.numerics.excitation.design import Design, line_information, optimal
@@ -30,16 +31,6 @@ from agent.numerics.model.statespace import Discrete, simulate
 from agent.runtime.assembly.model_check import model_faults
 from agent.text import number, percent
 from agent.types import FloatArray
-
-MOST_SAMPLES = 400_000
-"""Of a signal, and of a recording looked at: the information of each sample is computed one by one."""
-SHOWN = 0.05
-"""Share of the power from which a line is named."""
-MOVING = 3.0
-"""Times the noise of its sensor that a motion must be to be one."""
-ROUNDING = 1e-9
-"""Of a reading: what is less is no motion but arithmetic."""
-DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +89,7 @@ def _rig(config: RigConfig, recorded: Recorded | None) -> _Rig:
 def _moving(config: RigConfig, recording: Path) -> Recorded:
     recorded = read_recording(config, recording)
     moved = np.std(recorded.y, axis=0)
-    least = np.maximum(MOVING * recorded.noise, ROUNDING * np.abs(recorded.y).max(axis=0))
+    least = np.maximum(MOVING_TIMES * recorded.noise, ROUNDING * np.abs(recorded.y).max(axis=0))
     if not np.any(moved > least):
         what = "nothing moves beyond the noise of its sensor"
         raise RecordingError.at(
@@ -271,7 +262,7 @@ def _advice(
     strong = [
         f"{number(line['hz'], 3)} Hz{' on ' + line['input'] if several else ''} with {percent(line['power'])}"
         for line in document["lines"]
-        if line["power"] >= SHOWN
+        if line["power"] >= SHOWN_SHARE
     ]
     yield f"of the power {', '.join(strong)}"
     if past is None:
@@ -291,7 +282,7 @@ def _write(to: Path, config: RigConfig, u: FloatArray) -> None:
     rate = config.rig.sample_rate_hz
     rows = [",".join(["t", *(channel.name for channel in config.inputs)])]
     for k, row in enumerate((u / factor).tolist()):
-        rows.append(",".join([f"{k / rate:.9g}", *(f"{value:.{DIGITS}g}" for value in row)]))
+        rows.append(",".join([f"{k / rate:.9g}", *(f"{value:.{SIGNAL_DIGITS}g}" for value in row)]))
     try:
         to.write_text("\n".join([*rows, ""]), encoding="utf-8")
     except OSError as error:

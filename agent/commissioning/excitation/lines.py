@@ -4,18 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.commissioning.tuning import ABOVE, BANDWIDTHS, BELOW, HIGHEST, MOST_LINES, NEAR_LINES
 from agent.errors import UsageError
 from agent.numerics.model.statespace import Discrete
 from agent.types import FloatArray, IntArray
-
-MOST_LINES = 500
-"""Frequencies at most, an input; beyond, they are spaced by equal ratios, and closer about the modes."""
-ABOVE, BELOW = 2.5, 0.3
-"""The band by default: from this share of the slowest mode to this multiple of the fastest."""
-HIGHEST = 0.4
-"""Of the sample rate: faster forces are no straight lines between samples."""
-BANDWIDTHS, NEAR = 6.0, 61
-"""How far about a mode lines stand closer, in its half-power bandwidths, and how many of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +64,6 @@ def _spaced(first: int, last: int, modes: FloatArray) -> IntArray:
     if last - first < MOST_LINES:
         return np.arange(first, last + 1)
     wide = np.geomspace(first, last, MOST_LINES // 2)
-    near = [f + b * np.linspace(-BANDWIDTHS, BANDWIDTHS, NEAR) for f, b in modes]
+    near = [f + b * np.linspace(-BANDWIDTHS, BANDWIDTHS, NEAR_LINES) for f, b in modes]
     every = np.rint(np.concatenate([wide, *near])).astype(np.int64)
     return np.unique(every[(every >= first) & (every <= last)])

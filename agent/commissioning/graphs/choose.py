@@ -22,33 +22,20 @@ from agent.commissioning.identification.doubts import LOOK_FOR
 from agent.commissioning.identification.found import Found
 from agent.commissioning.identification.graph import elements_of, require_motion_sensors, with_blanks
 from agent.commissioning.identification.join import joined
-from agent.commissioning.identification.material import (
-    SHORTEST,
-    material_of,
-    noise_of_sensors,
-    pieces_of,
-    read_records,
-)
+from agent.commissioning.identification.material import material_of, noise_of_sensors, pieces_of, read_records
 from agent.commissioning.identification.start import started, started_in_response
 from agent.commissioning.identification.windows import pool, window_length, windowed
 from agent.commissioning.nominals import with_nominals, write_nominals
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import Material
+from agent.commissioning.tuning import GRAPH_ROUNDS, LEAST_WINDOWS, LISTED_GRAPHS, SHORTEST_PIECE, SMALL, TINY
 from agent.config import MechanicsModel, RigConfig, load
 from agent.errors import Fault, ModelError, RecordingError, UsageError
 from agent.numerics.identification.pooled import costs_of
 from agent.numerics.identification.selection import TIE, Choice, Selector
 from agent.runtime.assembly.model_check import model_faults
 
-LEAST_WINDOWS = 8
-"""Windows that the jackknife needs."""
-TINY, SMALL = 1e-3, 0.02
-"""Of the largest of its kind: an element of the file, and a proposed one, begin at 0 where they are less."""
-MOST_ROUNDS = 8
-"""Graphs that are fitted in turn."""
-LISTED = 8
-"""Graphs beside the chosen one that are shown."""
 Begin = Callable[[RigConfig, Sequence[Recorded]], RigConfig]
 """Returns a configuration with a start for its nominals."""
 
@@ -172,7 +159,7 @@ class _Search:
             if not _elements(graph):
                 what = "the recordings make no spring and no damper certain"
                 raise ModelError.at("model", what, "record longer, or with more motion")
-            if frozenset(_elements(graph)) in seen or len(seen) >= MOST_ROUNDS:
+            if frozenset(_elements(graph)) in seen or len(seen) >= GRAPH_ROUNDS:
                 return selector, best
 
     def _selector(self, graph: RigConfig, begin: Begin) -> Selector:
@@ -230,10 +217,10 @@ def _window(configs: Sequence[RigConfig], records: Sequence[Recorded]) -> int:
         with suppress(np.linalg.LinAlgError):
             window = window_length(started(config, records), records)
             break
-    while sum(length // window for length in lengths) < LEAST_WINDOWS and window >= SHORTEST:
+    while sum(length // window for length in lengths) < LEAST_WINDOWS and window >= SHORTEST_PIECE:
         window = int(0.9 * window)
-    if window < SHORTEST:
-        what = f"they hold fewer than {LEAST_WINDOWS} windows of {SHORTEST} samples"
+    if window < SHORTEST_PIECE:
+        what = f"they hold fewer than {LEAST_WINDOWS} windows of {SHORTEST_PIECE} samples"
         raise RecordingError.at("", what, "record longer: a graph is chosen by how much windows agree")
     return window
 
@@ -265,7 +252,7 @@ def _graphs(rig: RigConfig, selector: Selector, best: Choice, names: Sequence[st
     own = best.kept.copy()
     for i, name in enumerate(names):
         own[i] = name in configured if selector.elective[i] else own[i]
-    choices = [*selector.neighbours(best)[:LISTED], selector.choice(own)]
+    choices = [*selector.neighbours(best)[:LISTED_GRAPHS], selector.choice(own)]
     rows = {choice.kept.tobytes(): choice for choice in [best, *choices]}
     ranked = sorted(rows.values(), key=lambda choice: (choice is not best, -choice.score))
     return [

@@ -10,8 +10,6 @@ from agent.commissioning.identification.doubts import refusals, why_unknown
 from agent.commissioning.identification.found import Found
 from agent.config import RigConfig
 
-T975 = 1.96
-
 
 def document_of(rig: RigConfig, found: Found) -> dict[str, Any]:
     """Return the document of CONTRACT section 8, but for what only the command knows."""
@@ -32,8 +30,8 @@ def _row(found: Found, i: int) -> dict[str, Any]:
     value, sd = float(found.pooled.theta[i]), float(found.pooled.sd[i])
     why = why_unknown(found, i)
     return {
-        "value": value, "sd": sd, "sd_repeat": float(found.pooled.sd_repeat[i]), "lower": value - T975 * sd,
-        "upper": value + T975 * sd, "unit": found.rig.parameters[i].unit, "identifiable": why is None,
+        "value": value, "sd": sd, "sd_repeat": float(found.pooled.sd_repeat[i]), "lower": value - 1.96 * sd,
+        "upper": value + 1.96 * sd, "unit": found.rig.parameters[i].unit, "identifiable": why is None,
         "why": why,
         "other": _other(found, i),
     }  # fmt: skip

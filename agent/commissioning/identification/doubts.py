@@ -4,20 +4,13 @@ import numpy as np
 
 from agent.commissioning.identification.found import Found, Rival
 from agent.commissioning.identification.graph import mechanics
+from agent.commissioning.tuning import INSEPARABLE, PULLED, UNEXPLAINED, VAGUE
 from agent.config import MechanicsModel, RigConfig
 from agent.errors import Fault
 from agent.numerics.identification.start import hidden
 from agent.text import percent, with_sd
 from agent.types import BoolArray
 
-UNEXPLAINED = 0.02
-"""Share of a motion, its sensor's noise taken off, beyond which the graph is not the machine's."""
-PULLED = 5.0
-"""Data-sheet standard deviations beyond which a mass or gain that the data ask for is no mass or gain."""
-VAGUE = 0.33
-"""Sd, as a share of the value, above which a parameter is not known."""
-INSEPARABLE = 0.95
-"""Correlation from which two vague parameters are named together."""
 LOOK_FOR = "look for an element, a force or a mass that the graph lacks, or for a channel that is wrong"
 LOOK_AGAIN = (
     "begin at nominals nearer to the machine's, or look for a state, an input or an offset "

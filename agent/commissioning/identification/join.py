@@ -8,7 +8,7 @@ import numpy as np
 from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.explained import explained
-from agent.commissioning.identification.doubts import VAGUE, why_unknown
+from agent.commissioning.identification.doubts import why_unknown
 from agent.commissioning.identification.found import Found
 from agent.commissioning.identification.material import noise_of_sensors
 from agent.commissioning.identification.rivals import rival_of
@@ -17,6 +17,7 @@ from agent.commissioning.nominals import with_nominals
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recorded_windows import helping
+from agent.commissioning.tuning import VAGUE
 from agent.config import MechanicsModel, RigConfig
 from agent.numerics.identification.pooled import Pooled
 from agent.numerics.model.uncertain import Constant

@@ -9,12 +9,11 @@ from agent.commissioning.channel_checks import plain_findings
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import Material
+from agent.commissioning.tuning import SHORTEST_PIECE
 from agent.config import RigConfig
 from agent.errors import Fault, RecordingError, UsageError
 from agent.numerics.inference.tuning import DIGITS
 from agent.types import FloatArray
-
-SHORTEST = 128
 
 
 def material_of(recordings: Sequence[Path], probe_s: float | None) -> Material:
@@ -45,7 +44,7 @@ def noise_of_sensors(config: RigConfig, records: Sequence[Recorded]) -> FloatArr
 
 def pieces_of(records: Sequence[Recorded]) -> list[tuple[FloatArray, FloatArray]]:
     """Return outputs and inputs of what has no gap. Raises RecordingError where all is too short."""
-    pieces = [(r.y[a:b], r.u[a:b]) for r in records for a, b in r.pieces if b - a >= SHORTEST]
+    pieces = [(r.y[a:b], r.u[a:b]) for r in records for a, b in r.pieces if b - a >= SHORTEST_PIECE]
     if not pieces:
         raise no_piece()
     return pieces
@@ -53,7 +52,7 @@ def pieces_of(records: Sequence[Recorded]) -> list[tuple[FloatArray, FloatArray]
 
 def no_piece() -> RecordingError:
     """Return the refusal of recordings without a piece that is long enough."""
-    return RecordingError.at("", f"no {SHORTEST} samples without a gap", "give a longer recording")
+    return RecordingError.at("", f"no {SHORTEST_PIECE} samples without a gap", "give a longer recording")
 
 
 def recorded_span_s(records: Sequence[Recorded]) -> float:

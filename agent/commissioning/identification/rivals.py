@@ -9,6 +9,7 @@ from agent.commissioning.identification.found import Rival
 from agent.commissioning.identification.windows import windowed
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
+from agent.commissioning.tuning import APART_SD, APART_SHARE, EVIDENCE
 from agent.config import RigConfig
 from agent.numerics.identification.pooled import Pooled, another
 from agent.numerics.model.holds import straight
@@ -16,13 +17,6 @@ from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Model, discretise, simulate
 from agent.runtime.assembly.model_check import further_outputs
 from agent.types import FloatArray
-
-EVIDENCE = 6.9
-"""Log likelihood beyond which one of two solutions is evident: 1000 : 1."""
-APART_SD = 3.0
-"""Standard deviations beyond which two values of a parameter are two."""
-APART_SHARE = 0.1
-"""Share of a motion by which two solutions differ where a sensor tells them apart."""
 
 
 def rival_of(

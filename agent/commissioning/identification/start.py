@@ -7,10 +7,11 @@ import numpy as np
 from agent.blocks.rig_model import rig_model
 from agent.commissioning.identification.graph import mechanics
 from agent.commissioning.identification.material import noise_of_sensors, pieces_of
-from agent.commissioning.identification.windows import GROWTH, first_window_length, pool, window_length
+from agent.commissioning.identification.windows import first_window_length, pool, window_length
 from agent.commissioning.nominals import with_nominals
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
+from agent.commissioning.tuning import GROWTH, LEAST_START
 from agent.config import RigConfig
 from agent.errors import ModelError, RecordingError
 from agent.numerics.identification.exact_response import others_near, refined
@@ -20,9 +21,6 @@ from agent.numerics.model.holds import straight
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.runtime.assembly.model_check import model_faults
 from agent.types import FloatArray
-
-LEAST = 1e-4
-"""Of the largest of its kind: what a start is where noise made it negative."""
 
 
 def started(config: RigConfig, records: Sequence[Recorded]) -> RigConfig:
@@ -112,7 +110,7 @@ def _positive(config: RigConfig, values: Mapping[str, float]) -> dict[str, float
         kind: max([v for n, v in values.items() if kinds[n] == kind and v > 0], default=1.0)
         for kind in kinds.values()
     }
-    return {name: max(value, LEAST * largest[kinds[name]]) for name, value in values.items()}
+    return {name: max(value, LEAST_START * largest[kinds[name]]) for name, value in values.items()}
 
 
 def started_linear(rig: RigConfig, records: Sequence[Recorded], progress: Progress) -> RigConfig:

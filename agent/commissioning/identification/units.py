@@ -12,6 +12,7 @@ from agent.commissioning.identification.start import starts
 from agent.commissioning.identification.windows import window_length
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
+from agent.commissioning.tuning import LEAST_SAMPLES, UNIT_FITS
 from agent.config import RigConfig
 from agent.config.model.tables import Channel
 from agent.config.reading.units import conversion, is_known
@@ -25,10 +26,6 @@ USUAL_UNITS = {
     "acceleration": ("m/s2", "g", "mm/s2"),
 }
 """Units of a quantity that are taken for one another, the usual ones."""
-LEAST_SAMPLES = 2048
-"""Samples that are looked at, where a quarter of a recording is less."""
-FITS = 0.1
-"""Share of any channel's motion that a start may leave: starts are a little off, wrong units leave most."""
 
 
 @dataclass(frozen=True)
@@ -111,4 +108,4 @@ def _fits(begun: RigConfig, records: Sequence[Recorded], reading: _Reading) -> b
         )
     except (AgentError, np.linalg.LinAlgError):
         return False
-    return bool(np.all(seen.beyond < FITS))
+    return bool(np.all(seen.beyond < UNIT_FITS))

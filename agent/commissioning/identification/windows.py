@@ -8,9 +8,17 @@ import numpy as np
 from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import estimator_settings
 from agent.commissioning.explained import windows_of
-from agent.commissioning.identification.material import SHORTEST, no_piece, noise_of_sensors
+from agent.commissioning.identification.material import no_piece, noise_of_sensors
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
+from agent.commissioning.tuning import (
+    AT_ONCE,
+    FIRST_PERIODS,
+    LONGEST,
+    PERIODS,
+    SHORTEST_PIECE,
+    WINDOWS,
+)
 from agent.config import RigConfig
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.identification.pooled import Pooled, pooled
@@ -19,14 +27,6 @@ from agent.numerics.inference.tuning import SIGMA_SPREAD_UNSTATED
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.types import ComplexArray
-
-PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
-"""Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
-FIRST_PERIODS, GROWTH = 2, 6
-"""Periods of the fastest mode that oscillates in the first windows of a linear model, and how many times
-longer the next ones are."""
-AT_ONCE = 1e-4
-"""Stands in for a sampled pole at 0, whose motion dies within a sample and whose rate has no logarithm."""
 
 
 def poles_of(config: RigConfig) -> ComplexArray:
@@ -46,7 +46,7 @@ def first_window_length(config: RigConfig) -> int:
     rate = config.rig.sample_rate_hz
     oscillating = np.abs(poles[(np.abs(poles.imag) > np.abs(poles.real)) & (np.abs(poles) < pi * rate / 2)])
     period_s = 2 * pi / oscillating.max() if len(oscillating) else slowest_period_s(config)
-    return int(np.clip(FIRST_PERIODS * period_s * rate, SHORTEST, LONGEST))
+    return int(np.clip(FIRST_PERIODS * period_s * rate, SHORTEST_PIECE, LONGEST))
 
 
 def slowest_period_s(config: RigConfig) -> float:
@@ -58,10 +58,10 @@ def slowest_period_s(config: RigConfig) -> float:
 def window_length(config: RigConfig, records: Sequence[Recorded]) -> int:
     """Return the length of the windows that are joined, samples: some periods of the slowest mode."""
     lengths = [b - a for record in records for a, b in record.pieces]
-    if max(lengths, default=0) < SHORTEST:
+    if max(lengths, default=0) < SHORTEST_PIECE:
         raise no_piece()
     wanted = max(
-        PERIODS * slowest_period_s(config) * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST
+        PERIODS * slowest_period_s(config) * config.rig.sample_rate_hz, sum(lengths) / WINDOWS, SHORTEST_PIECE
     )
     longest = max(lengths)
     # equal parts of the longest piece: a remainder would be lost

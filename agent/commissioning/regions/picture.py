@@ -7,14 +7,13 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel, rig_model
 from agent.commissioning.regions.places import Plane, Today, newest, plane, poles_over
+from agent.commissioning.tuning import LEAST_SIDE
 from agent.config import load
 from agent.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LEAST_SIDE = 0.02
-"""Of the frame of the poles: a pole on the real axis has no height."""
 INK, MODEL, OBSERVER, TODAY, HOLDS, FAILS = "#2b2b2b", "#1f77a4", "#d1603d", "#7a5ea8", "#e4f0e4", "#f6dcd5"
 
 

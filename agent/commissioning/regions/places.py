@@ -8,18 +8,12 @@ import numpy as np
 from scipy.linalg import expm
 
 from agent.blocks.rig_model import RigModel
+from agent.commissioning.tuning import BEYOND_BOX, DRAWN_POINTS, GRID
 from agent.config import RigConfig
 from agent.errors import UsageError
 from agent.numerics.model.region import Measure, radius_of_model, radius_of_observer
 from agent.storage.read import queries
 from agent.types import ComplexArray, FloatArray
-
-DRAWN = 200
-"""Points of the box whose poles are drawn."""
-GRID = 25
-"""Points along each side of the plane."""
-BEYOND = 3.0
-"""How far the plane goes, in halves of the box: what holds within the limits shows more around them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +62,8 @@ def poles_over(config: RigConfig, rig: RigModel, gain: FloatArray) -> tuple[Comp
     rng = np.random.default_rng(19)
     half = np.maximum(rig.limits, 0.0)
     # half of the points on edges of the box, where poles reach furthest
-    shares = np.sign(rng.uniform(-1, 1, (DRAWN, len(half)))) * np.where(
-        np.arange(DRAWN)[:, None] % 2, 1.0, np.nan
+    shares = np.sign(rng.uniform(-1, 1, (DRAWN_POINTS, len(half)))) * np.where(
+        np.arange(DRAWN_POINTS)[:, None] % 2, 1.0, np.nan
     )
     shares = np.where(np.isnan(shares), rng.uniform(-1, 1, shares.shape), shares)
     points = np.vstack([rig.model.nominal, rig.model.nominal + shares * half])
@@ -97,7 +91,7 @@ def plane(config: RigConfig, rig: RigModel, gain: FloatArray, around: FloatArray
     period_s = 1.0 / config.rig.sample_rate_hz
     measures = [radius_of_model(rig.model, period_s), radius_of_observer(rig.model, period_s, gain)]
     i, j = max(combinations(movable, 2), key=lambda pair: _effect(measures[1], rig.model.nominal, half, pair))
-    x, y = (np.linspace(-BEYOND, BEYOND, GRID) * half[k] + rig.model.nominal[k] for k in (i, j))
+    x, y = (np.linspace(-BEYOND_BOX, BEYOND_BOX, GRID) * half[k] + rig.model.nominal[k] for k in (i, j))
     radius = np.array([[_radius(measures, around, (i, j), (a, b)) for a in x.tolist()] for b in y.tolist()])
     return Plane((i, j), x, y, radius)
 

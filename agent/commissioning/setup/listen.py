@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from agent.clock import monotonic_ns
-from agent.commissioning.limits import TURN_S
 from agent.commissioning.probe import OPEN_ADVICE, require_sources
 from agent.commissioning.readings import Gathering
+from agent.commissioning.tuning import KEPT_LINES, MOST_BAD, SHOWN_EVERY_S, TURN_S
 from agent.config import RigConfig, load
 from agent.config.model.tables import Channel
 from agent.config.sections.covariates import Covariate
@@ -29,13 +29,6 @@ from agent.text import printable
 from agent.types import FloatArray
 from drivers.port import Trace, Unit
 from drivers.reconnect import LinkEvent
-
-SHOWN_EVERY_S = 0.5
-"""A source's good units are shown so often, the newest of each kind; rejected at once, but for floods."""
-MOST_BAD = 5
-"""Rejected units of a source that are shown at a time."""
-KEPT = 50
-"""Lines that the document keeps, the newest."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +110,7 @@ class _Watch:
     say: Say
     began_ns: int = 0
     over: bool = False
-    lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT))
+    lines: deque[Line] = field(default_factory=lambda: deque(maxlen=KEPT_LINES))
     lost: dict[str, str] = field(default_factory=dict)
     seen: dict[str, dict[str, float]] = field(default_factory=dict)
 

@@ -6,9 +6,8 @@ from typing import Any
 
 from agent.commissioning.setup.plan import ELEMENTS, Link, Plan, Signal, fields_of, number_of, place_of
 from agent.commissioning.setup.template import watched
+from agent.commissioning.tuning import HOP_SAMPLES, SLOW_HZ
 
-SLOW_HZ, HOP = 40.0, 5.0
-"""Below this rate a row comes every so many samples; above it the default, 0.05 s, is two or more."""
 _CLOCKS = {
     "counter": "the device numbers its samples; a missing number is a gap",
     "device": "samples carry time stamps of the kernel, of the device or of the recording",
@@ -121,7 +120,7 @@ def _rest(plan: Plan) -> Iterator[str]:
     yield from ("", "[estimator]")
     yield 'window_s = "auto"'.ljust(34) + " # each estimate rests on so much; a number of seconds fixes it"
     if plan.rate_hz is not None and plan.rate_hz < SLOW_HZ:
-        yield f"hop_s = {value_of(HOP / plan.rate_hz)}".ljust(34) + " # a row of estimates so often"
+        yield f"hop_s = {value_of(HOP_SAMPLES / plan.rate_hz)}".ljust(34) + " # a row of estimates so often"
     yield "# An alarm where a parameter leaves its healthy value by more than a limit:"
     if any(link.nominal is None for link in plan.links("friction")):
         names = [link.name for kind in ELEMENTS for link in plan.links(kind)]

@@ -12,12 +12,10 @@ from pydantic import Field
 
 from agent.config.domains.plant import Domain, Fact, Link, Plant, loose, twice
 from agent.config.reading.fields import Name, NotNegative, Number, Positive, Table, shown
+from agent.config.tuning import ROUND_OFF
 
 if TYPE_CHECKING:
     from agent.types import BoolArray, FloatArray
-
-
-ROUND_OFF: Final = 1e-12
 
 
 def bending(length: float) -> "FloatArray":

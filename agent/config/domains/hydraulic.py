@@ -8,7 +8,7 @@ from pydantic import Field
 from agent.config.domains.plant import GROUND, Domain, Fact, Link, Plant, Store, loose, twice
 from agent.config.reading.fields import Name, NotNegative, Positive
 
-GRAVITY: Final = 9.80665
+GRAVITY: Final = 9.80665  # fixed by ISO 80000-3, m/s^2
 
 
 class Restriction(Link):

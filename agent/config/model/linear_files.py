@@ -10,8 +10,8 @@ from agent.config.model.linear import MATRICES
 from agent.config.reading.fields import shown
 from agent.config.reading.messages import join, listing, nearest
 from agent.config.reading.parse import Faults
+from agent.config.tuning import MATRIX_BYTES
 
-MATRIX_BYTES: Final = 50_000_000
 KEYS: Final = ("file", "name")
 DERIVATIVES: Final = tuple(f"d{matrix}" for matrix in MATRICES)
 

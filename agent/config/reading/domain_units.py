@@ -6,7 +6,7 @@ from typing import Final
 QUANTITIES: Final = (
     "voltage", "current", "torque", "speed", "angle", "power", "temperature", "flow", "pressure", "level",
 )  # fmt: skip
-TURN: Final = 6.283185307179586
+TURN: Final = 6.283185307179586  # fixed by definition, rad
 
 KNOWN: Final[Mapping[str, Mapping[str, float]]] = {
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},

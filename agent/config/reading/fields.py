@@ -7,10 +7,8 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, Strict
 
-LONGEST_SKEW_S: Final = 0.5
-LEAST: Final = 1e-30
-GREATEST: Final = 1e30
-"""Sizes of numbers beside 0: any quantity in any unit, far from where squares leave floating point."""
+from agent.config.tuning import GREATEST, LEAST, LONGEST_SKEW_S
+
 NAME: Final = r"^[A-Za-z][A-Za-z0-9_.-]{0,63}$"
 _DURATION: Final = re.compile(r"(\d+(?:\.\d+)?)\s*([smhdwy])")
 _HOURS: Final = re.compile(r"([01]\d|2[0-3]):([0-5]\d)-([01]\d|2[0-3]):([0-5]\d)")

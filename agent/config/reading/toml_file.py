@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
+from agent.config.tuning import FILE_BYTES
 from agent.errors import ConfigError
 
-LIMIT_BYTES: Final = 2_000_000
 _PLACE: Final = re.compile(
     r"^(?P<what>.*?) \(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)$", re.DOTALL
 )
@@ -49,13 +49,13 @@ def read_bytes(file: Path) -> bytes:
     """Return the file's bytes; ConfigError when it cannot be read or is larger than any configuration is."""
     try:
         with file.open("rb") as stream:
-            data = stream.read(LIMIT_BYTES + 1)
+            data = stream.read(FILE_BYTES + 1)
     except (OSError, ValueError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
         raise ConfigError.at(file, f"cannot be read: {reason}", "name a configuration file") from error
-    if len(data) > LIMIT_BYTES:
+    if len(data) > FILE_BYTES:
         raise ConfigError.at(
-            file, f"is larger than {LIMIT_BYTES // 1_000_000} MB", "a configuration is a short TOML text"
+            file, f"is larger than {FILE_BYTES // 1_000_000} MB", "a configuration is a short TOML text"
         )
     return data
 

@@ -5,6 +5,7 @@ from difflib import get_close_matches
 from typing import Final, Literal
 
 from agent.config.reading import domain_units
+from agent.config.tuning import UNIT_LETTERS
 
 Quantity = Literal[
     "force", "displacement", "velocity", "acceleration", "input", "output",
@@ -52,8 +53,6 @@ _WORDS: Final[Mapping[str, Mapping[str, str]]] = {
     "velocity": {f"{word}/s": f"{unit}/s" for word, unit in _LENGTH_WORDS.items()},
     "acceleration": {f"{word}/s2": f"{unit}/s2" for word, unit in _LENGTH_WORDS.items()},
 }
-MOST_LETTERS = 3
-"""Of what is no word: of so few letters each may be another unit."""
 
 _SI: Final[Mapping[str, str]] = {
     "force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s2", **domain_units.SI,
@@ -110,7 +109,7 @@ def near_miss(quantity: Quantity, unit: str) -> str:
         return ""
     alike = [name for name in known if name.casefold() == text.casefold()]
     spelt = _WORDS.get(quantity, {})
-    words = get_close_matches(text.casefold(), spelt, n=1, cutoff=0.8) if len(text) > MOST_LETTERS else []
+    words = get_close_matches(text.casefold(), spelt, n=1, cutoff=0.8) if len(text) > UNIT_LETTERS else []
     return " or ".join(alike) or (spelt[words[0]] if words else "")
 
 

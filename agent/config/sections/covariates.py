@@ -5,11 +5,10 @@ from typing import Annotated, Literal
 from pydantic import Field, Strict
 
 from agent.config.reading.fields import Name, Number, Positive, Table, Text
+from agent.config.tuning import BASELINE_CLASSES, BASELINE_DAYS
 
 Span = Annotated[tuple[Number, Number], Strict(False)]
 """Lowest and highest value."""
-CLASSES = 5
-DAYS = 1.0
 
 
 class Covariate(Table):
@@ -30,7 +29,7 @@ class BaselineTable(Table):
     """What `baseline learn` wants: covariates (None: all), days with valid rows, classes of each."""
 
     covariates: Annotated[tuple[Name, ...], Strict(False)] | None = None
-    days: Positive = DAYS
+    days: Positive = BASELINE_DAYS
     classes: int = Field(
-        default=CLASSES, ge=1, le=50, description="classes of a covariate that it must have run in"
+        default=BASELINE_CLASSES, ge=1, le=50, description="classes of a covariate that it must have run in"
     )

@@ -6,14 +6,12 @@ from pydantic import Field, Strict, field_validator
 
 from agent.config.reading.fields import Duration, FilePath, Name, Names, Positive, Table, Text
 from agent.config.reading.secrets import Secret
+from agent.config.tuning import ARCHIVED
 
 Kind = Literal["mqtt", "sparkplug", "postgres", "parquet"]
 Topic = Literal["alarms", "estimates", "events", "health"]
 TOPICS: tuple[Topic, ...] = ("alarms", "estimates", "events", "health")
 """In the order in which what is new of them is sent."""
-
-_ARCHIVED = 2000
-"""Instants of an archive's file: of four parameters some 8,000 rows, 400 kB."""
 
 
 class North(Table):
@@ -56,4 +54,4 @@ class North(Table):
     def at_once(self) -> int:
         """Instants or rows of a batch: by default many for an archive, whose files are not to be small."""
         is_stated = "batch" in self.model_fields_set
-        return _ARCHIVED if self.is_periodic and not is_stated else self.batch
+        return ARCHIVED if self.is_periodic and not is_stated else self.batch

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import Field
 
 from agent.config.reading.fields import Table, shown
+from agent.config.tuning import ROUND_S
 from agent.errors import Fault
-
-ROUND_S: Final = 0.2
 
 
 class Agent(Table):

@@ -12,7 +12,8 @@ from agent.evaluation.compare.rivals import Polynomial, Track, Tuning, start_of
 from agent.types import FloatArray
 
 ALPHA, BETA, KAPPA = 0.1, 2.0, 0.0
-"""Of the scaled sigma points (van der Merwe 2004): narrow, Gaussian, none besides."""
+"""Fixed by van der Merwe 2004: of the scaled sigma points (van der Merwe 2004): narrow, Gaussian, none
+besides."""
 
 
 def _start(

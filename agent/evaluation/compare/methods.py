@@ -23,28 +23,23 @@ import numpy as np
 from agent.config.tables import Observer
 from agent.errors import AgentError, UsageError
 from agent.evaluation.compare import rivals
-from agent.evaluation.compare.trial import TUNED, Estimates, Trial
+from agent.evaluation.compare.trial import Estimates, Trial
+from agent.evaluation.tuning import (
+    MEMORIES,
+    METHOD_BLOCK,
+    PARTS,
+    POLES_APART,
+    PUSHES,
+    RATES,
+    SLOWEST_SHARE,
+    SPEEDS,
+    TUNED_PARTS,
+    WALKS,
+)
 from agent.numerics.model.observer import poles_gain
 from agent.numerics.model.statespace import discretise
 from agent.runtime.assembly.methods import make_estimation
 from agent.types import FloatArray, Samples, Status
-
-WALKS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-PUSHES = (1e-9, 1e-5, 1e-3, 1e-2)
-MEMORIES = (0.98, 0.99, 0.996, 0.998, 0.9995)
-SPEEDS = (2.0, 6.0)
-RATES = (1e-4, 1e-3, 1e-2, 1e-1)
-APART = 0.05
-"""Observer poles stand so far from one another, as a share: equal ones cannot be placed by one output."""
-SLOW = 0.1
-"""Of the fastest pole: what a slower one counts as where poles are placed."""
-T975 = 1.96
-BLOCK, PARTS = 65_536, 12
-"""Samples that a method of the product is given at once, as in a replay; and into how many parts at least.
-
-Its cost is that of the scored part: the first fit and the search for unknown forces happen once in an agent's
-life.
-"""
 
 Run = Callable[[], Estimates]
 
@@ -104,7 +99,7 @@ def of_product(trial: Trial, method: str) -> Estimates:
     """Run a method of the product as `replay` does."""
     inputs = trial.u[:, : len(trial.config.inputs) + len(getattr(trial.config.model, "friction", ()))]
     block = make_estimation(trial.config, np.zeros(trial.y.shape[1]))
-    step = min(BLOCK, -(-len(trial.y) // PARTS))
+    step = min(METHOD_BLOCK, -(-len(trial.y) // PARTS))
     batches = []
     marks = [time.process_time()]
     for start in range(0, len(trial.y), step):
@@ -118,7 +113,7 @@ def of_product(trial: Trial, method: str) -> Estimates:
         for name in ("index", "value", "sd", "lower", "upper", "status")
     )
     valid = np.isfinite(theta) if method == "seed" else status == Status.VALID
-    first = len(batches) // TUNED
+    first = len(batches) // TUNED_PARTS
     spent = (marks[-1] - marks[first]) / (len(trial.y) - first * step)
     return Estimates(index, theta, sd, lower, upper, valid, 1e6 * spent)
 
@@ -190,7 +185,7 @@ def tracked(track: Callable[[], rivals.Track]) -> Estimates:
     with np.errstate(all="ignore"):  # a badly tuned filter runs away, and is scored as such
         theta, sd = track()
     spent = time.process_time() - begun
-    half = T975 * sd
+    half = 1.96 * sd
     index = np.arange(len(theta), dtype=np.int64)
     return Estimates(
         index, theta, sd, theta - half, theta + half, np.isfinite(theta), 1e6 * spent / len(theta)
@@ -212,8 +207,8 @@ def _require_direct(trial: Trial) -> None:
 def _poles(trial: Trial, speed: float) -> list[float]:
     """Return real poles so many times faster than the plant's, none equal."""
     sizes = np.sort(np.abs(np.linalg.eigvals(trial.rig.model.continuous(trial.nominal).A)))
-    sizes = np.maximum(sizes, SLOW * sizes.max())
-    return [-speed * size * (1.0 + APART * i) for i, size in enumerate(sizes.tolist())]
+    sizes = np.maximum(sizes, SLOWEST_SHARE * sizes.max())
+    return [-speed * size * (1.0 + POLES_APART * i) for i, size in enumerate(sizes.tolist())]
 
 
 def _gain(trial: Trial, speed: float) -> FloatArray:

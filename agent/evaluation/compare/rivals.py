@@ -13,13 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.evaluation.tuning import SETTLING_SAMPLES
 from agent.numerics.model.statespace import Hold, Model, discretise, simulate
 from agent.numerics.paper.seed import observe
 from agent.types import FloatArray
 
 Track = tuple[FloatArray, FloatArray]
-SETTLING = 2000
-"""Samples at most whose motion says how large the states of a rig are."""
 
 
 class Polynomial:
@@ -84,7 +83,7 @@ class Start:
 def start_of(polynomial: Polynomial, y: FloatArray, u: FloatArray) -> Start:
     """Return the state the first reading shows, as uncertain as the states of a rig so moved are large."""
     x = np.linalg.pinv(polynomial.C) @ (y[0] - polynomial.D @ u[0])
-    states, _ = simulate(polynomial.base, x + polynomial.base.B1 @ u[0], u[:SETTLING])
+    states, _ = simulate(polynomial.base, x + polynomial.base.B1 @ u[0], u[:SETTLING_SAMPLES])
     return Start(x, np.sqrt(np.mean(states**2, axis=0)) + 1e-3 * float(np.abs(states).max()) + 1e-300)
 
 

@@ -10,23 +10,19 @@ from agent.commissioning.explained import free_run
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
 from agent.errors import RecordingError
+from agent.evaluation.tuning import (
+    FASTER_POLE,
+    LEAST_WINDOWS,
+    MOST_COMPARED,
+    MOST_SCORED,
+    MOST_TUNED,
+    TUNED_PARTS,
+)
 from agent.numerics.inference.tuning import DIGITS
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Hold, discretise
 from agent.types import BoolArray, FloatArray, IntArray
-
-MOST = 100_000
-"""Samples of a recording that are compared over: the joint UKF takes a quarter of a millisecond for each."""
-TUNED = 3
-"""The first of so many parts of the recording is what methods are tuned on; the others are what is scored."""
-MOST_TUNED = 10_000
-"""Samples that are tuned on: a grid of choices runs over them."""
-LEAST_WINDOWS = 3
-MOST_SCORED = 40
-"""Windows that are predicted, spread over the scored part."""
-FASTER = 1e3
-"""Multiple of nominal's fastest pole beyond which a pole is no machine's: the estimate predicts nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +94,11 @@ class Trial:
     @property
     def tuning(self) -> slice:
         """The samples that methods are tuned on."""
-        return slice(0, min(len(self.y) // TUNED, MOST_TUNED))
+        return slice(0, min(len(self.y) // TUNED_PARTS, MOST_TUNED))
 
     def scored(self, part: slice | None = None) -> list[int]:
         """Return where windows begin that are predicted from the past: after the tuning, or in a part."""
-        first, end = (len(self.y) // TUNED, len(self.y)) if part is None else (part.start, part.stop)
+        first, end = (len(self.y) // TUNED_PARTS, len(self.y)) if part is None else (part.start, part.stop)
         starts = np.arange(max(first, self.window), end - self.window + 1, self.window)
         chosen = np.unique(np.linspace(0, len(starts) - 1, min(len(starts), MOST_SCORED)).round().astype(int))
         return [int(starts[i]) for i in chosen.tolist()] if len(starts) else []
@@ -129,7 +125,7 @@ class Trial:
         fastest = float(np.abs(np.linalg.eigvals(self.rig.model.continuous(self.nominal).A)).max())
         eigenvalues = np.linalg.eigvals(continuous.A)
         grown = eigenvalues.real.max() * self.window * self.period_s
-        if not np.all(np.isfinite(theta)) or np.abs(eigenvalues).max() > FASTER * fastest or grown > 20:
+        if not np.all(np.isfinite(theta)) or np.abs(eigenvalues).max() > FASTER_POLE * fastest or grown > 20:
             return np.asarray(motion)
         left = (y - free_run(discretise(continuous, self.period_s, self.hold), y, self.u[rows])) / self.noise
         return np.asarray(np.minimum(np.nan_to_num(np.mean(left**2, axis=0), nan=np.inf), motion))
@@ -139,7 +135,7 @@ def trial_of(config: RigConfig, recorded: Recorded) -> Trial:
     """Return what is compared over: the longest piece of a recording. Raises RecordingError if too short."""
     rig = rig_model(config)
     first, end = max(recorded.pieces, key=lambda piece: piece[1] - piece[0])
-    end = min(end, first + MOST)
+    end = min(end, first + MOST_COMPARED)
     y = recorded.y[first:end]
     u = with_constant(recorded.u[first:end], _inputs(rig))
     longest = round(windows_s(config)[-1] * config.rig.sample_rate_hz)

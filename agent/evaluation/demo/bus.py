@@ -66,7 +66,7 @@ class Wire:
 
 
 CLASSIC_BYTES = 8
-"""What a frame of classic CAN holds."""
+"""Fixed by ISO 11898-1: what a frame of classic CAN holds: what a frame of classic CAN holds."""
 TWO_MASSES = DemoRig(
     "rig.toml",
     (Number("force", "Force", "N", is_input=True), Number("x1", "X1", "m"), Number("x2", "X2", "m")),

@@ -20,10 +20,8 @@ from agent.config import RigConfig, load
 from agent.errors import AgentError, BusError, Fault, StoreError, UsageError
 from agent.evaluation.demo.bus import COARSE, FINE, RIGS, TWO_MASSES, write_config
 from agent.evaluation.demo.truth import Truth, alarm_delays, read_truth, segments
+from agent.evaluation.tuning import GRACE_S, STALL_S
 from agent.storage.read import queries
-
-STALL_S = 20.0
-GRACE_S = 20.0
 
 
 def demo(

@@ -11,6 +11,7 @@ from agent.errors import StoreError
 from agent.evaluation.explain import words
 from agent.evaluation.explain.recompute import Kept, Recomputed, read_kept, recomputed
 from agent.evaluation.explain.tested import Tested, tested
+from agent.evaluation.tuning import NEAR_SD
 from agent.recording.event_files import state_name
 from agent.recording.states import StateError
 from agent.storage.read import queries
@@ -20,9 +21,8 @@ from agent.types import AlarmTransition
 Row = Mapping[str, Any]
 FIGURES: Final = ("delta", "sd", "probability")
 EXACT: Final = 17
-"""Digits of two figures that are the same number."""
-_NEAR: Final = 1e-9
-"""Of the standard deviation: how far the same verdict may be off, however samples were cut into blocks."""
+"""Fixed by double precision: digits of two figures that are the same number: digits of two figures that are
+the same number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +168,6 @@ def _is_near(stored: Row, found: Row) -> bool:
     for name in FIGURES:
         if (stored[name] is None) != (found[name] is None):
             return False
-        if stored[name] is not None and abs(stored[name] - found[name]) > _NEAR * abs(scale[name] or 1.0):
+        if stored[name] is not None and abs(stored[name] - found[name]) > NEAR_SD * abs(scale[name] or 1.0):
             return False
     return True

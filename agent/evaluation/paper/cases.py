@@ -9,12 +9,12 @@ from agent.numerics.model.statespace import Hold, discretise
 from agent.types import FloatArray
 
 PERIOD_S = 1e-3
-MASS_1 = 5.0
+MASS_1 = 5.0  # fixed by the paper: sampling period, s, and the first mass, kg
 PARAMETERS = ("k1", "k2", "B1", "B2")
 UNITS = ("N/m", "N/m", "N s/m", "N s/m")
 NOMINAL = np.array([25.0, 100.0, 5.0, 5.0])
 SEGMENT = 1000
-"""Samples of each combination of table 2."""
+"""Fixed by the paper: samples of each combination of table 2: samples of each combination of table 2."""
 START = np.full(4, 0.01)
 """State at the first sample: both velocities (m/s) and displacements (m)."""
 GAIN = np.array([
@@ -25,9 +25,10 @@ GAIN = np.array([
 ])  # fmt: skip
 """K_e as printed."""
 ITERATIONS = 17
-"""What the paper needed for Z in its case 1."""
+"""Fixed by the paper: what it needed for Z in its case 1: what the paper needed for Z in its case 1."""
 COST, STEP = 4e-10, 1e-8
-"""The cost at the optimum and the last difference of Z, as printed for case 1."""
+"""Fixed by the paper: the cost at the optimum and the last difference of Z, as printed for case 1: the cost
+at the optimum and the last difference of Z, as printed for case 1."""
 MATRIX = np.array([
     [2.49e-05, -1.66e-05, -0.0149, 0.0099],
     [-2.76e-05, 2.76e-05, 0.0166, -0.0166],
@@ -36,7 +37,7 @@ MATRIX = np.array([
 ])  # fmt: skip
 """The estimated ΔA of case 1, as printed."""
 OBSERVER_POLES = (-45.0, -40.0, -35.0, -30.0)
-"""Where K_e is said to put them, 1/s."""
+"""Fixed by the paper: where K_e is said to put them, 1/s: where K_e is said to put them, 1/s."""
 
 
 @dataclass(frozen=True, slots=True)

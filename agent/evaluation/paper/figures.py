@@ -9,6 +9,7 @@ import numpy as np
 from agent.errors import Fault, UsageError
 from agent.evaluation.paper import cases
 from agent.evaluation.paper.methods import product_rows, seed_settings, valid_changes
+from agent.evaluation.tuning import DRAWN_HOP
 from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed import Stopping, observe
 from agent.numerics.paper.seed_window import fit_passes
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HOP = 25
-"""Samples from one drawn estimate to the next."""
 PATIENCE = Stopping(iterations=300)
 """Descent in windows that hold a change need not converge; 20 iterations do in the others."""
 INK, ACTUAL, PRINTED, RECENTRED, PRODUCT = "#2b2b2b", "#b5b5b5", "#d1603d", "#7a5ea8", "#1f77a4"
@@ -141,11 +140,11 @@ def _seed_curve(changes: tuple[FloatArray, ...], window: int, passes: int) -> tu
     y = cases.free_decay(changes, "euler")
     u = np.zeros((len(y), 1))
     settings = replace(seed_settings(window, passes), stopping=PATIENCE)
-    index = np.arange(window + HOP, len(y) + 1, HOP)
+    index = np.arange(window + DRAWN_HOP, len(y) + 1, DRAWN_HOP)
     theta = [fit_passes(cases.rig(), settings, y[:stop], u[:stop]).theta for stop in index.tolist()]
     return index, np.array(theta) - cases.NOMINAL
 
 
 def _product_curve(changes: tuple[FloatArray, ...], window: int) -> tuple[IntArray, FloatArray]:
-    rows = product_rows(cases.free_decay(changes, "zero"), window, HOP)
+    rows = product_rows(cases.free_decay(changes, "zero"), window, DRAWN_HOP)
     return rows.index + 1, valid_changes(rows)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.evaluation.paper import cases
+from agent.evaluation.tuning import ROUNDING_M
 from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.sliding import SlidingEstimator
@@ -13,9 +14,6 @@ from agent.numerics.paper.seed import read_off
 from agent.numerics.paper.seed_window import SeedSettings
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, Status
-
-ROUNDING_M = 1e-9
-"""Sensor sd that noise-free displacements of a centimetre are given at the least, m."""
 
 
 def seed_settings(window: int, passes: int, hop: int = 1, settled: float = 1e-9) -> SeedSettings:

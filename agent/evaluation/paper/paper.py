@@ -11,14 +11,13 @@ from agent.evaluation.paper import cases
 from agent.evaluation.paper.figures import draw, new_figure
 from agent.evaluation.paper.methods import product_rows, seed_settings, valid_changes
 from agent.evaluation.paper.text import in_range, least_lower_rows, matrices, observer_poles, table
+from agent.evaluation.tuning import PASSES, WINDOW
 from agent.numerics.model.margins import condition_3, condition_8
 from agent.numerics.model.statespace import discretise
 from agent.numerics.paper.seed_window import SeedFit, fit_passes
 from agent.types import FloatArray
 
 __all__ = ["paper", "table"]
-WINDOW, PASSES = 250, 16
-"""The paper's window, and passes enough for the fixed point to show in every digit of its tables."""
 
 
 def paper(window: int | None = None, passes: int | None = None, plot: Path | None = None) -> dict[str, Any]:

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 
 from agent.config import RigConfig
+from agent.evaluation.tuning import SEARCHED_ROWS
 from agent.runtime.sources import wire_steps
 from agent.types import FloatArray, IntArray, Samples
-
-_SEARCHED = 8
-"""Rows that must agree for a stretch to be found again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +106,7 @@ def _shift(
     guess: int,
 ) -> int:
     """Return device's number minus agent's number for a stretch; the guess where it is found nowhere."""
-    whole = np.flatnonzero(~absent.any(axis=1))[:_SEARCHED]
+    whole = np.flatnonzero(~absent.any(axis=1))[:SEARCHED_ROWS]
     if not len(whole):
         return guess
     near = (np.abs(truth.readings - values[whole[0]]) <= truth.room(truth.readings)).all(axis=1)

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from agent.blocks.rig_model import hop_plan
 from agent.evaluation.score.match import Matched, Played, match, played
 from agent.evaluation.score.play import Outcome
+from agent.evaluation.tuning import ALARM_GRACE_S
 from agent.records import HealthEvent
 from agent.types import AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray, Status
 
 _GOOD_NEWS = frozenset({"recovered", "restarted", "error-active"})
-_GRACE_S = 0.5
-"""How long after an excursion's last window an alarm may still be its own."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +213,7 @@ class Assessment:
         beyond = np.concatenate([[False], delta > limit, [False]])
         edges = np.flatnonzero(np.diff(beyond.astype(np.int8)))
         window = hop_plan(self._config).window
-        room = 2 * window + round(((rule.on_delay_s or 0.0) + _GRACE_S) * self._rate)
+        room = 2 * window + round(((rule.on_delay_s or 0.0) + ALARM_GRACE_S) * self._rate)
         return [
             {"parameter": parameter, "first": int(a), "end": int(b), "room": room}
             for a, b in edges.reshape(-1, 2)

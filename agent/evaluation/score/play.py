@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from agent.config import RigConfig, driver_class, load
 from agent.config.tables import Source
 from agent.errors import Fault, UsageError
+from agent.evaluation.tuning import LINGER_S, READ_S, STEP_S
 from agent.records import Health, Record
 from agent.runtime.ledger import Conservation
 from agent.runtime.rig_runtime import RigRuntime
@@ -26,10 +27,6 @@ from drivers.port import Driver, SourceRequest
 from drivers.reconnect import ReconnectingDriver
 
 GROUP = "deltak.simulators"
-READ_S = 0.2
-STEP_S = 0.05
-LINGER_S = 0.5
-"""Played on after the last sample, so that what a device still holds is read."""
 
 Progress = Callable[[float], None]
 

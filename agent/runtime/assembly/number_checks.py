@@ -7,7 +7,8 @@ import numpy as np
 
 from agent.blocks.rig_model import RigModel, hop_plan, known_noise, observer_gains, windows_s
 from agent.config import RigConfig
-from agent.config.rules_estimator import MOST_GB, most_samples
+from agent.config.rules_estimator import most_samples
+from agent.config.tuning import MOST_GB
 from agent.errors import Fault
 from agent.numerics.model.holds import straight
 from agent.numerics.model.observer import Noise

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.config import load, load_many, parse
-from agent.config.reading.toml_file import LIMIT_BYTES
+from agent.config.tuning import FILE_BYTES
 from agent.errors import ConfigError, Fault
 from tests.unit.config.config_texts import FILE, MINIMAL, MOTOR, PRESS, changed, with_fake_driver
 
@@ -98,7 +98,7 @@ def test_load_text_nested_without_end_is_refused_in_words(opening: str) -> None:
 def test_load_ten_megabytes_of_rubbish_are_refused_in_words(tmp_path: Path) -> None:
     path = tmp_path / "big.toml"
     path.write_bytes(os.urandom(1_000_000) * 10)
-    assert f"is larger than {LIMIT_BYTES // 1_000_000} MB" in words_of(path)
+    assert f"is larger than {FILE_BYTES // 1_000_000} MB" in words_of(path)
 
 
 def test_load_five_thousand_channels_answers(tmp_path: Path) -> None:

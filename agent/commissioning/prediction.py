@@ -9,15 +9,8 @@ import numpy as np
 from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, output_noise
 from agent.blocks.statistical_rig import statistical_rig
+from agent.commissioning import tuning
 from agent.commissioning.readings import Recorded
-from agent.commissioning.tuning import (
-    DECAY_FROM,
-    FORCE_RMS,
-    GUESSED_NOISE,
-    MOST_GROWN,
-    SETTLE_MOST,
-    SPAN_MOST,
-)
 from agent.config import RigConfig
 from agent.numerics.fitting.fit import GREATEST
 from agent.numerics.fitting.information import PredictedSd, predicted_sd
@@ -125,18 +118,18 @@ def assumed_excitation(config: RigConfig, discrete: Discrete, rig: RigModel, lon
         return _decay(config, discrete, rig, longest)
     rng = np.random.default_rng(0)
     settle = _settling(discrete, longest)
-    count = settle + longest + min(8 * longest, SPAN_MOST)
+    count = settle + longest + min(8 * longest, tuning.SPAN_MOST)
     if _growth(discrete, count) > GREATEST:
         # of a model that leaves the numbers its first window is all there is, if that
         settle, count = 0, longest
-    if _growth(discrete, count) > MOST_GROWN:
+    if _growth(discrete, count) > tuning.MOST_GROWN:
         nothing = np.zeros((0, discrete.model.m))
         words = "nothing: the model grows beyond all that is measured within a window"
         return Excitation(nothing, lambda _: [], lambda *_: nothing[0], np.ones(discrete.model.p), words)
-    u = FORCE_RMS * rng.standard_normal((count, len(config.inputs)))
+    u = tuning.FORCE_RMS * rng.standard_normal((count, len(config.inputs)))
     u = completed(config, discrete, np.zeros(discrete.model.n), u)
     x, y = simulate(discrete, np.zeros(discrete.model.n), u)
-    inputs = " and ".join(f"{FORCE_RMS:g} {channel.si_unit} rms" for channel in config.inputs)
+    inputs = " and ".join(f"{tuning.FORCE_RMS:g} {channel.si_unit} rms" for channel in config.inputs)
     kind = "force" if config.inputs[0].quantity == "force" else "input"
     return Excitation(
         u, lambda window: _spread(settle, count - window, window), lambda start, _: x[start],
@@ -153,11 +146,11 @@ def _growth(discrete: Discrete, count: int) -> float:
 
 def _decay(config: RigConfig, discrete: Discrete, rig: RigModel, longest: int) -> Excitation:
     names = rig.model.state_names
-    x0 = np.array([0.0 if name.startswith("velocity") else DECAY_FROM for name in names])
+    x0 = np.array([0.0 if name.startswith("velocity") else tuning.DECAY_FROM for name in names])
     u = completed(config, discrete, x0, np.zeros((longest, 0)))
     _, y = simulate(discrete, x0, u)
     unit = "m" if names[-1].startswith("displacement") else "in every state"
-    words = f"free decay from {DECAY_FROM:g} {unit}, first window"
+    words = f"free decay from {tuning.DECAY_FROM:g} {unit}, first window"
     return Excitation(u, lambda _: [0], lambda *_: x0, _rms(y), words)
 
 
@@ -196,7 +189,7 @@ def _settling(discrete: Discrete, window: int) -> int:
     radius = np.abs(np.linalg.eigvals(discrete.model.A))
     decaying = radius[radius < 1 - 1e-9]
     slowest = -1.0 / np.log(max(float(decaying.max(initial=0.0)), 1e-12))
-    return int(np.clip(5 * slowest, window, SETTLE_MOST))
+    return int(np.clip(5 * slowest, window, tuning.SETTLE_MOST))
 
 
 def _spread(first: int, last: int, window: int) -> list[int]:
@@ -228,7 +221,9 @@ def _guess(seen: float, floor: float, rms: float) -> tuple[float, str]:
         return seen, "noise as the recording shows it"
     if floor > 0:
         return floor, "noise not known, so no more than the wire's resolution"
-    return max(GUESSED_NOISE * rms, 1e-300), f"noise not known, taken as {GUESSED_NOISE:.1%} of the signal"
+    return max(
+        tuning.GUESSED_NOISE * rms, 1e-300
+    ), f"noise not known, taken as {tuning.GUESSED_NOISE:.1%} of the signal"
 
 
 def _way(names: list[str], ways: Mapping[str, str], known: list[str]) -> list[str]:

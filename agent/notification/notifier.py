@@ -17,17 +17,10 @@ from typing import Any
 from agent.clock import wall_ns
 from agent.config.sections.results import Notify
 from agent.errors import AgentError
+from agent.notification import tuning
 from agent.notification.message import Message, message_of
 from agent.notification.routing import quiet_s
 from agent.notification.senders import SendError, send
-from agent.notification.tuning import (
-    IDLE_S,
-    MESSAGES_AT_NIGHT,
-    MESSAGES_AT_ONCE,
-    PAUSE_S,
-    REMEMBERED,
-    STORE_S,
-)
 from agent.storage.tables.notifications import NotificationRow
 from agent.storage.write.jobs import Job
 from agent.storage.write.notifications import Due, catch_up, due, note_done, note_failure
@@ -63,14 +56,14 @@ class Notifier:
         wanted: Callable[[AlarmTransition], bool] | None = None,
         deliver: Send = send,
         now: Callable[[], datetime] = _now,
-        pause_s: tuple[float, float] = PAUSE_S,
+        pause_s: tuple[float, float] = tuning.PAUSE_S,
     ) -> None:
         self.target = target
         self._folder, self._ask, self._deliver, self._now = folder, ask, deliver, now
         self._shortest_s, self._longest_s = pause_s
         self._wanted = wanted
         self._failures = 0
-        self._delivered: deque[int] = deque(maxlen=REMEMBERED)
+        self._delivered: deque[int] = deque(maxlen=tuning.REMEMBERED)
         self._due = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._work, name=f"notify-{target.name}", daemon=True)
@@ -106,14 +99,14 @@ class Notifier:
             return self._round()
         except (AgentError, sqlite3.Error, OSError) as error:
             log.info("%s: what is to be sent is not known now: %s", self.target.name, error)
-            return STORE_S
+            return tuning.STORE_S
 
     def _round(self) -> float:
         if self._wanted is not None:
             self._ask(partial(catch_up, target=self.target.name, wanted=self._wanted))
             self._wanted = None
         quiet = quiet_s(self.target, self._now())
-        most = MESSAGES_AT_NIGHT if quiet else MESSAGES_AT_ONCE
+        most = tuning.MESSAGES_AT_NIGHT if quiet else tuning.MESSAGES_AT_ONCE
         found: Sequence[Due] = self._ask(partial(due, target=self.target.name, most=most))
         # what a side file says of a row that was sent may not be in the file yet
         found = [one for one in found if one.row.seq not in self._delivered]
@@ -121,8 +114,8 @@ class Notifier:
             if self._stopping.is_set() or not self._sent(one):
                 return self._back_off_s()
         if quiet:
-            return min(quiet, IDLE_S)
-        return 0.0 if len(found) == MESSAGES_AT_ONCE else IDLE_S
+            return min(quiet, tuning.IDLE_S)
+        return 0.0 if len(found) == tuning.MESSAGES_AT_ONCE else tuning.IDLE_S
 
     def _sent(self, one: Due) -> bool:
         """Make one attempt and note what came of it; tell whether the next message may follow."""
@@ -143,7 +136,7 @@ class Notifier:
                 return
             except (AgentError, sqlite3.Error, OSError) as error:
                 log.info("%s: what was sent cannot be noted now: %s", self.target.name, error)
-            if self._stopping.wait(STORE_S):
+            if self._stopping.wait(tuning.STORE_S):
                 return
 
     def _failed(self, row: NotificationRow, words: str) -> bool:

@@ -14,8 +14,8 @@ from typing import TypeGuard, TypeVar
 from agent.blocks.acquisition.interface import Label
 from agent.blocks.estimation import ESTIMATION, FAILURE
 from agent.records import HealthEvent, Record
-from agent.runtime.limits import PAUSE_NS
 from agent.runtime.pipeline import Pipeline
+from agent.runtime.tuning import PAUSE_NS
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, IntArray, Reason, Status
 from drivers.port import SampleBlock
 

@@ -13,10 +13,10 @@ from agent.config import RigConfig
 from agent.config.tables import Source
 from agent.errors import AgentError, StoreError
 from agent.records import HealthEvent
-from agent.runtime.limits import CLOSE_S, FINISH_S, LEAVE_S
 from agent.runtime.process.databases import density_of, path_of, runs_of
 from agent.runtime.rig_set import Parts, RigSet
 from agent.runtime.sources import Connection
+from agent.runtime.tuning import CLOSE_S, FINISH_S, LEAVE_S
 
 CONFIGURATION = "configuration"
 """What events of a reload are told of."""

@@ -4,8 +4,8 @@ from collections import Counter, deque
 from collections.abc import Iterator
 
 from agent.records import HealthEvent, Record
-from agent.runtime.limits import CLEAR_NS, PART, RAISE_NS
 from agent.runtime.sources import Arrival, Connection, Use
+from agent.runtime.tuning import CLEAR_NS, PART, RAISE_NS
 from agent.types import AlarmTransition
 from drivers.port import Counts
 from drivers.reconnect import LinkEvent

@@ -13,16 +13,14 @@ from agent.errors import Fault, RecordingError
 from agent.recording.source import OwnRecording
 from agent.records import ClockRecord, Record
 from agent.runtime.ledger import Conservation
-from agent.runtime.limits import HEALTH_PERIOD_NS
 from agent.runtime.pipeline import Pipeline, Prepared
 from agent.runtime.sources import part
+from agent.runtime.tuning import HEALTH_PERIOD_NS, MOST_BLOCKS
 from agent.runtime.usability import Evidence, assess
 from agent.types import FloatArray, IntArray
 from drivers.port import Counts, Driver, DriverError, SampleBlock
 
 log = logging.getLogger(__name__)
-MOST_BLOCKS = 5000
-"""Between two pauses: what they lead to is some 35 MB, and waits in memory until it is stored."""
 
 
 Covariates = tuple[IntArray, Mapping[str, FloatArray]]

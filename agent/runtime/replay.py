@@ -23,21 +23,15 @@ from agent.runtime.assembly.source_faults import source_error
 from agent.runtime.forecasts.replayed import ReplayedForecasts
 from agent.runtime.pipeline import Pipeline, resolutions
 from agent.runtime.playing import Playing, Track
+from agent.runtime.process.memory import MMAP_THRESHOLD, TRIM_THRESHOLD
 from agent.runtime.results import RunSummary
+from agent.runtime.tuning import COMMIT_S, OBJECTS, SWITCH_S
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
 from agent.types import Learnt
 from drivers.port import Driver, DriverConfigError, DriverError, SourceRequest
 
 SOURCE = "recording"
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
-_COMMIT_S = 0.05
-"""Between commits: little is left to write when the last block is estimated."""
-_SWITCH_S = 5e-4
-"""Longest that reading and writing hold the interpreter while the estimation, which lets go of it in every
-product of matrices, waits for it: a tenth of a replay at Python's 5 ms; below 0.2 ms switching costs more."""
-_OBJECTS = 20_000
-"""New objects between two searches for garbage, of which arrays make none: 700 cost a hundredth of all."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)
@@ -51,8 +45,8 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     rig = load(config)
     started = time.monotonic()
     keep_freed_memory()
-    gc.set_threshold(_OBJECTS)
-    sys.setswitchinterval(_SWITCH_S)
+    gc.set_threshold(OBJECTS)
+    sys.setswitchinterval(SWITCH_S)
     with ExitStack() as stack:
         playing = begun(rig, recordings)
         stack.callback(playing.close)
@@ -83,7 +77,7 @@ def keep_freed_memory() -> None:
     """
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
     if set_option is not None:
-        for option, size in ((_M_MMAP_THRESHOLD, 32 << 20), (_M_TRIM_THRESHOLD, 256 << 20)):
+        for option, size in ((MMAP_THRESHOLD, 32 << 20), (TRIM_THRESHOLD, 256 << 20)):
             set_option(option, size)
 
 
@@ -284,6 +278,6 @@ def writer_of(rigs: Sequence[RigConfig], db: Path) -> StoreWriter:
         )
         for rig in rigs
     ]  # fmt: skip
-    writer = StoreWriter(lambda: Store.open(db), runs, lossless=True, period_s=_COMMIT_S)
+    writer = StoreWriter(lambda: Store.open(db), runs, lossless=True, period_s=COMMIT_S)
     writer.start()
     return writer

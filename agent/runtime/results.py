@@ -11,7 +11,7 @@ from agent.alarms.life_cycle import cause_of
 from agent.blocks.constants_watch import SOURCE
 from agent.config import RigConfig
 from agent.records import Health, HealthEvent, Record
-from agent.runtime.limits import MOST_REPORTED
+from agent.runtime.tuning import MOST_REPORTED
 from agent.text import iso_time
 from agent.types import AlarmTransition, EstimateBatch, Reason, Status
 

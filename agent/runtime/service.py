@@ -15,7 +15,20 @@ from agent.errors import AgentError, Fault, UsageError
 from agent.recording.event_writer import EventWriter
 from agent.recording.recorder import Recorder
 from agent.runtime.exchange import Prepared, exchange, plan, prepare, tell
-from agent.runtime.limits import (
+from agent.runtime.process.databases import RunKind, Writer, writers_of
+from agent.runtime.process.deadline import Deadline
+from agent.runtime.process.heartbeats import Thread
+from agent.runtime.process.memory import release_free_pages
+from agent.runtime.process.opening import Opening
+from agent.runtime.process.recent_lines import RecentLines
+from agent.runtime.process.service_manager import ServiceManager
+from agent.runtime.process.watch import Watch
+from agent.runtime.rig_runtime import RigRuntime
+from agent.runtime.rig_set import MakeWriters, RigSet
+from agent.runtime.sources import Connection
+from agent.runtime.status import Status
+from agent.runtime.telemetry.exporters import Exporters
+from agent.runtime.tuning import (
     ABANDON_S,
     CLOSE_S,
     END_S,
@@ -32,19 +45,6 @@ from agent.runtime.limits import (
     SILENCE_S,
     WRITER_PATIENCE,
 )
-from agent.runtime.process.databases import RunKind, Writer, writers_of
-from agent.runtime.process.deadline import Deadline
-from agent.runtime.process.heartbeats import Thread
-from agent.runtime.process.memory import release_free_pages
-from agent.runtime.process.opening import Opening
-from agent.runtime.process.recent_lines import RecentLines
-from agent.runtime.process.service_manager import ServiceManager
-from agent.runtime.process.watch import Watch
-from agent.runtime.rig_runtime import RigRuntime
-from agent.runtime.rig_set import MakeWriters, RigSet
-from agent.runtime.sources import Connection
-from agent.runtime.status import Status
-from agent.runtime.telemetry.exporters import Exporters
 from agent.storage.write.command_socket import Handler
 from drivers.port import DriverConfigError
 

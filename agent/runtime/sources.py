@@ -13,7 +13,7 @@ from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig, driver_class
 from agent.config.tables import Source
 from agent.recording.recorder import Recorder
-from agent.runtime.limits import QUEUE_SAMPLES, READ_S
+from agent.runtime.tuning import QUEUE_SAMPLES, READ_S
 from drivers.port import Capture, Counts, Driver, DriverConfigError, SampleBlock, SourceRequest, Trace
 from drivers.reconnect import LinkEvent, ReconnectingDriver
 

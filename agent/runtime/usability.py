@@ -9,13 +9,13 @@ import numpy as np
 from agent.config import RigConfig
 from agent.errors import Fault, RecordingError
 from agent.records import Record
-from agent.runtime.limits import LITTLE, MOST_REFUSED, NEAR, WATCHED
+from agent.runtime.tuning import LITTLE, MOST_REFUSED, NEAR, WATCHED
 from agent.types import EstimateBatch, IntArray, Status
 from drivers.port import Counts, SampleBlock
 
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 LATEST_S = 9.2e9
-"""Seconds that nanoseconds in 64 bits can count."""
+"""Fixed by 64 bits of nanoseconds: seconds that nanoseconds in 64 bits can count."""
 _CELL = re.compile(r'"([^"]*)" is no number')
 _UNUSABLE = re.compile(r"(.*?): (none of its \d+ frames fits: .*)")
 _DAMAGED = re.compile(r"(.*?): (is damaged, its end is not read): .*")

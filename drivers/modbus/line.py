@@ -16,20 +16,9 @@ from weakref import WeakValueDictionary
 
 from drivers import clock
 from drivers.fields import ByteArray
+from drivers.modbus import tuning
 from drivers.modbus.frames import ADDRESS, FIFO, MAX_REGISTERS, VALUE, Frames, ReplyError, Request
 from drivers.modbus.line_lock import LineLock
-from drivers.modbus.tuning import (
-    FADE,
-    LONGEST_NOISE,
-    POLITE_S,
-    REMEMBERED_EACH_S,
-    REMEMBERED_REQUESTS,
-    REMEMBERED_S,
-    ROUNDING_S,
-    SHORTEST_S,
-    UNANSWERED,
-    USUAL,
-)
 from drivers.modbus.units import LaterError, Unit
 from drivers.pipe import Pipe
 from drivers.port import DriverConfigError, DriverIOError
@@ -108,7 +97,7 @@ class ModbusLine:
         is gone.
         """
         unit = self._units.setdefault(request.unit, Unit())
-        with self._line_lock.taken(clock.monotonic() + POLITE_S if unit.is_lost else urgent_at):
+        with self._line_lock.taken(clock.monotonic() + tuning.POLITE_S if unit.is_lost else urgent_at):
             self._wait_for(unit)
             if request.count in unit.lost:
                 self._come_level(request, unit, timeout_s, faults, spare)
@@ -123,7 +112,7 @@ class ModbusLine:
                 other for other in list(self._units.values()) if other is not unit and other.is_active(now)
             ]
             begin = max(begin, unit.start(now, others))
-        if begin > now + ROUNDING_S:
+        if begin > now + tuning.ROUNDING_S:
             raise LaterError(begin)
 
     def _come_level(
@@ -211,7 +200,7 @@ class ModbusLine:
         answer = None
         try:
             while answer is None and (more := pipe.recv(deadline)):
-                data = (data + more)[-LONGEST_NOISE:]
+                data = (data + more)[-tuning.LONGEST_NOISE :]
                 answer = self.frames.reply(data, request)
         except DriverIOError as error:
             raise _EndedError(str(error), amid=self.frames.partial(data)) from error
@@ -242,7 +231,7 @@ class ModbusLine:
         seconds = clock.monotonic() - asked.at
         asked.unit.answered(seconds)
         self._unanswered = 0
-        self._usual_s = max(seconds, FADE * self._usual_s)
+        self._usual_s = max(seconds, tuning.FADE * self._usual_s)
 
     def _failed(self, request: Request, asked: _Asked, error: ReplyError, timeout_s: float) -> None:
         """Note what a failure says of the unit and of the connection."""
@@ -257,13 +246,13 @@ class ModbusLine:
         unit = asked.unit
         if self._pause_s is None:
             self._given_up[self.frames.give_up()] = asked
-            if len(self._given_up) > REMEMBERED_REQUESTS:
+            if len(self._given_up) > tuning.REMEMBERED_REQUESTS:
                 del self._given_up[next(iter(self._given_up))]
         else:
             unit.lost[request.count] = now
-            unit.late_until = now + min(timeout_s, max(SHORTEST_S, USUAL * unit.slowest_s))
+            unit.late_until = now + min(timeout_s, max(tuning.SHORTEST_S, tuning.USUAL * unit.slowest_s))
         self._unanswered += 1
-        if self._unanswered >= UNANSWERED:
+        if self._unanswered >= tuning.UNANSWERED:
             self._drop()
             self._unanswered = 0
 
@@ -276,12 +265,12 @@ def _unowed(request: Request, unit: Unit, timeout_s: float, spare: int) -> Reque
     """
     most = 0 if request.function == FIFO else min(request.count + spare, MAX_REGISTERS)
     lengths = [*range(request.count - 1, 0, -1), *range(request.count + 1, most + 1)]
-    remembered_s = max(timeout_s, min(REMEMBERED_S, REMEMBERED_EACH_S * len(lengths)))
+    remembered_s = max(timeout_s, min(tuning.REMEMBERED_S, tuning.REMEMBERED_EACH_S * len(lengths)))
     free_at = {
         count: unit.lost.get(count, -remembered_s) + remembered_s for count in lengths or [request.count]
     }
     count = min(free_at, key=lambda count: free_at[count])
-    if free_at[count] > clock.monotonic() + ROUNDING_S:
+    if free_at[count] > clock.monotonic() + tuning.ROUNDING_S:
         raise LaterError(free_at[count])
     return Request(request.unit, request.function, request.address, count) if lengths else None
 

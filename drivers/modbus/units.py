@@ -17,20 +17,7 @@ answer.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.modbus.tuning import (
-    ACTIVE_S,
-    FADE,
-    FOUND_S,
-    FULL_FROM,
-    FULL_FROM_UNKNOWN,
-    GROWTH,
-    LEAST,
-    PATIENCE,
-    POLITE_S,
-    RAREST,
-    SHORTEST_S,
-    USUAL,
-)
+from drivers.modbus import tuning
 
 
 class LaterError(Exception):
@@ -74,11 +61,11 @@ class Unit:
     @property
     def is_lost(self) -> bool:
         """Whether it kept silent so often that the others go first."""
-        return self.unanswered >= PATIENCE
+        return self.unanswered >= tuning.PATIENCE
 
     def is_active(self, now: float) -> bool:
         """Tell whether others have to mind it: it answers, and is asked again and again."""
-        return self.unanswered == 0 and now < self.next_at + ACTIVE_S
+        return self.unanswered == 0 and now < self.next_at + tuning.ACTIVE_S
 
     def plan(self, urgent_at: float) -> None:
         """Note that the next answer but this one should be there at `urgent_at`."""
@@ -89,16 +76,16 @@ class Unit:
     def allowed_s(self, timeout_s: float, usual_s: float) -> float:
         """Return how long it is waited for: all of its time as long as it answers, then seldom."""
         usual = self.slowest_s or usual_s
-        first = FULL_FROM if self.slowest_s else FULL_FROM_UNKNOWN
+        first = tuning.FULL_FROM if self.slowest_s else tuning.FULL_FROM_UNKNOWN
         if not usual or self.unanswered == 0 or _is_power(self.unanswered, first):
             return timeout_s
-        return min(timeout_s, max(SHORTEST_S, USUAL * usual))
+        return min(timeout_s, max(tuning.SHORTEST_S, tuning.USUAL * usual))
 
     def answered(self, seconds: float) -> None:
         """Note an answer, and how long it took."""
         self.unanswered = 0
         self.lost.clear()
-        self.slowest_s = max(seconds, FADE * self.slowest_s)
+        self.slowest_s = max(seconds, tuning.FADE * self.slowest_s)
 
     def late(self, seconds: float) -> None:
         """Note an answer that came so long after the request that it was given up."""
@@ -114,8 +101,8 @@ class Unit:
 
     def _rest_s(self) -> float:
         cost = self.cost_s
-        grown = GROWTH ** min(self.unanswered - PATIENCE + 1, PATIENCE + 1)
-        return min(grown * cost, RAREST * cost, max(FOUND_S - cost, LEAST * cost))
+        grown = tuning.GROWTH ** min(self.unanswered - tuning.PATIENCE + 1, tuning.PATIENCE + 1)
+        return min(grown * cost, tuning.RAREST * cost, max(tuning.FOUND_S - cost, tuning.LEAST * cost))
 
     def start(self, now: float, others: Sequence["Unit"]) -> float:
         """Return when it can be asked without holding up the others more than must be."""
@@ -144,7 +131,7 @@ def _is_power(number: int, first: int) -> bool:
 def _longest_pause(now: float, wanted_s: float, others: Sequence[Unit]) -> float:
     """Return the beginning of the longest pause in what is due; no more of it counts than is wanted."""
     ends = (unit.due_after(now) + unit.slowest_s for unit in others)
-    begins = [now, *sorted(end for end in ends if end <= now + POLITE_S)]
+    begins = [now, *sorted(end for end in ends if end <= now + tuning.POLITE_S)]
 
     def pause(begin: float) -> float:
         return min(wanted_s, *(unit.due_after(begin) - begin for unit in others))

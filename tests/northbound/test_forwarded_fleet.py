@@ -20,7 +20,7 @@ ARCHIVE = North(name="archive", kind="parquet", folder=Path("archive"))
 def test_fleet_of_a_parquet_archive_says_what_it_says_of_the_databases(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("agent.cli.prognosis.fleet.MOST_ROWS", 100)
+    monkeypatch.setattr("agent.cli.prognosis.fleet.FLEET_ROWS", 100)
     folder, archive = tmp_path / "databases", tmp_path / "archive"
     folder.mkdir()
     # rows, minutes and hours are read

@@ -43,7 +43,7 @@ def test_two_workers_one_killed_give_what_replays_give_to_the_last_bit(tmp_path:
 
 @pytest.mark.soak
 def test_scheduler_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.runtime.reestimation.pools._PATIENCE_S", 1.0)
+    monkeypatch.setattr("agent.runtime.reestimation.pools.SCHEDULER_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with pytest.raises(UsageError, match=f"tcp://127.0.0.1:{port}: no scheduler answers"):

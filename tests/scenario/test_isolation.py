@@ -11,9 +11,9 @@ import pytest
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
 from agent.records import Health, HealthEvent, Record
-from agent.runtime.limits import PAUSE_NS
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.service import Service
+from agent.runtime.tuning import PAUSE_NS
 from agent.types import AlarmTransition, EstimateBatch, Reason, SensorEvent, SensorFault, Status
 from drivers.port import FloatArray, SampleBlock
 from tests.scenario.live import example, free_port, rows

@@ -11,11 +11,11 @@ import pytest
 from agent.config import load
 from agent.records import Health, Record
 from agent.runtime.containment import IsolatedPipeline
-from agent.runtime.limits import FINISH_S, PART
 from agent.runtime.pending import STOPPED
 from agent.runtime.rig_runtime import RigRuntime
 from agent.runtime.service import Service
 from agent.runtime.sources import Connection
+from agent.runtime.tuning import FINISH_S, PART
 from drivers.port import SampleBlock
 from drivers.reconnect import LinkEvent
 from tests.scenario.live import example, free_port

@@ -13,10 +13,10 @@ import pytest
 from agent.blocks.acquisition.indexing import Indexer
 from agent.config import RigConfig, driver_class, load
 from agent.records import Record
-from agent.runtime.limits import LONGEST_ROUND, LONGEST_ROUND_S
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.process.requests import Request
 from agent.runtime.service import Service, _rest_s
+from agent.runtime.tuning import LONGEST_ROUND, LONGEST_ROUND_S
 from agent.types import EstimateBatch, FloatArray
 from drivers.port import Driver, SampleBlock, SourceRequest
 from sim_bus.rig.scenario import load_scenario

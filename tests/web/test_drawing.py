@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from agent.cli.web.model import MOST, drawing
+from agent.cli.tuning import DRAWN_ELEMENTS
+from agent.cli.web.model import drawing
 from agent.config import load
 from tests.peers import ROOT
 
@@ -49,4 +50,4 @@ def test_no_more_entries_are_drawn_than_can_be_looked_at() -> None:
     names = tuple(parameter.name for parameter in model.parameters)  # type: ignore[union-attr]
     many = config.estimator.model_copy(update={"estimate": names})
     found = drawing(config.model_copy(update={"model": model, "estimator": many}))
-    assert (len(found["masses"]), len(found["elements"])) == (6, MOST)
+    assert (len(found["masses"]), len(found["elements"])) == (6, DRAWN_ELEMENTS)

@@ -12,16 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.blocks.tuning import (
-    BACKLOG_S,
-    CLEAR,
-    FASTER,
-    LEAK,
-    PAUSE_READ_S,
-    STAYS_LATE_S,
-    STAYS_LATE_SAMPLES,
-    USUAL,
-)
+from agent.blocks import tuning
 from agent.types import IntArray
 from drivers.port import SampleBlock
 
@@ -36,7 +27,7 @@ class ArrivalCount:
     rate_hz: float
     _number: int = -1
     _line: float = 0.0  # when the newest sample was due
-    _usual: deque[float] = field(default_factory=lambda: deque([1.0], maxlen=USUAL))
+    _usual: deque[float] = field(default_factory=lambda: deque([1.0], maxlen=tuning.USUAL))
     _late_since: float | None = None
     _least_late: float = np.inf
     _stayed: int = 0
@@ -69,29 +60,29 @@ class ArrivalCount:
         skipped = self._skipped(late, now_ns, own=own)
         late -= skipped
         self._usual.append(late)
-        self._line = now_ns - max(0.0, late - min(max(late, 0.0), LEAK * count)) * period
+        self._line = now_ns - max(0.0, late - min(max(late, 0.0), tuning.LEAK * count)) * period
         first = self._number + skipped + 1
         elapsed = (now_ns - origin_ns) / period
-        most = int(elapsed + BACKLOG_S * self.rate_hz + FASTER * elapsed)
+        most = int(elapsed + tuning.BACKLOG_S * self.rate_hz + tuning.FASTER * elapsed)
         numbers = np.minimum(np.arange(first, first + count, dtype=np.int64), max(most, self._number))
         self._number = int(numbers[-1])
         return numbers
 
     def _skipped(self, late: float, now_ns: int, *, own: bool) -> int:
         """Return how many samples an arrival so late says were lost before it."""
-        usual = max(*self._usual, 0.0 if own else PAUSE_READ_S * self.rate_hz)
-        if late >= usual + CLEAR:
+        usual = max(*self._usual, 0.0 if own else tuning.PAUSE_READ_S * self.rate_hz)
+        if late >= usual + tuning.CLEAR:
             self._late_since = None
             return max(1, round(late - float(np.median(self._usual))))
         # a block's newest sample may be a sample old at each reading
         age = 0.0 if own else 1.0
-        if late < max(age + 0.1, CLEAR):
+        if late < max(age + 0.1, tuning.CLEAR):
             self._late_since = None
             return 0
         if self._late_since is None:
             self._late_since, self._least_late, self._stayed = now_ns, np.inf, 0
         self._least_late, self._stayed = min(self._least_late, late), self._stayed + 1
-        if self._stayed < STAYS_LATE_SAMPLES or now_ns - self._late_since < STAYS_LATE_S * 1e9:
+        if self._stayed < tuning.STAYS_LATE_SAMPLES or now_ns - self._late_since < tuning.STAYS_LATE_S * 1e9:
             return 0
         self._late_since = None
         return round(self._least_late - age / 2)

@@ -6,22 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from agent.blocks import tuning
 from agent.blocks.acquisition.interface import SourceEvent
-from agent.blocks.tuning import (
-    ENOUGH,
-    EVALUATIONS,
-    FLOOR,
-    LONGER_AFTER,
-    MOST_S,
-    PRECISE,
-    RATE,
-    REMEMBERED,
-    SKEW_EVERY_S,
-    SKEW_PATIENCE_ANEW_S,
-    SKEW_PATIENCE_S,
-    SMALL,
-    STARTS_S,
-)
 from agent.numerics.fitting.skew import Delays, Skew, SkewMeter, combined
 from agent.numerics.fitting.work import EVALUATION, WORK, Budget
 from agent.types import FloatArray, IntArray
@@ -74,8 +60,8 @@ class SkewWatch:
     needed: bool = False
     unknown: bool = True
     budget: Budget | None = None
-    _patience_s: float = SKEW_PATIENCE_S
-    _found: deque[Delays] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _patience_s: float = tuning.SKEW_PATIENCE_S
+    _found: deque[Delays] = field(default_factory=lambda: deque(maxlen=tuning.REMEMBERED))
     _theta: FloatArray = field(init=False)
     _measured: FloatArray = field(init=False)
     _first: int | None = None
@@ -86,14 +72,14 @@ class SkewWatch:
     def __post_init__(self) -> None:
         self.skew_s = np.zeros(len(self.groups))
         self.sd_s = np.full(len(self.groups), np.inf)
-        self.budget = self.budget or Budget(EVALUATIONS * (EVALUATION + self.stretch), RATE)
+        self.budget = self.budget or Budget(tuning.EVALUATIONS * (EVALUATION + self.stretch), tuning.RATE)
         self._theta = self.meter.rig.model.nominal
         self._measured = np.zeros(len(self.groups))
 
     @property
     def margin(self) -> int:
         """Samples before and after a stretch that must be there as well."""
-        return round(MOST_S * self.rate_hz) + 4
+        return round(tuning.MOST_S * self.rate_hz) + 4
 
     @property
     def history(self) -> int:
@@ -110,7 +96,7 @@ class SkewWatch:
         watch = SkewWatch(
             self.meter, self.groups, self.against, self.channels, self.inputs, self.stretch, self.longest,
             self.rate_hz, self.complete, since=since, needed=needed, budget=self.budget,
-            _patience_s=SKEW_PATIENCE_ANEW_S,
+            _patience_s=tuning.SKEW_PATIENCE_ANEW_S,
         )  # fmt: skip
         watch.skew_s, watch._theta = self.skew_s, self._theta
         if not needed:
@@ -145,7 +131,7 @@ class SkewWatch:
         while ready >= self._next + self.stretch:
             rows = np.arange(self._next, self._next + self.stretch, dtype=np.int64)
             wanting = self.holding or self.realigning
-            self._next += self.stretch if wanting else round(SKEW_EVERY_S * self.rate_hz)
+            self._next += self.stretch if wanting else round(tuning.SKEW_EVERY_S * self.rate_hz)
             self._measure(rows, read)
             self._decide()
         if self.holding and newest > self._first + self._patience_s * self.rate_hz:
@@ -176,11 +162,11 @@ class SkewWatch:
             return
 
         def resampled(skew: FloatArray) -> FloatArray:
-            readings = read(rows, self._spread(np.clip(skew, -MOST_S, MOST_S)))
+            readings = read(rows, self._spread(np.clip(skew, -tuning.MOST_S, tuning.MOST_S)))
             u, y = readings[:, : self.inputs], readings[:, self.inputs :]
             return np.hstack([y, self.complete(y, u)])
 
-        elsewhere = [np.full(len(self.groups), start) for start in STARTS_S]
+        elsewhere = [np.full(len(self.groups), start) for start in tuning.STARTS_S]
         starts = [self._found[-1].delay_s] if self._found else [self.skew_s, *elsewhere]
         tried = [self._try(resampled, start, int(rows[-1])) for start in starts]
         sure = [found for found in tried if found is not None]
@@ -202,7 +188,7 @@ class SkewWatch:
             return None  # no gain, or readings that are no motion at all
         finally:
             self.budget.spend(WORK.done - done)
-        return found if found.sure and bool(np.all(np.abs(found.delay_s) < MOST_S)) else None
+        return found if found.sure and bool(np.all(np.abs(found.delay_s) < tuning.MOST_S)) else None
 
     def _spread(self, skew: FloatArray) -> FloatArray:
         delays = np.zeros(self.channels)
@@ -213,17 +199,21 @@ class SkewWatch:
     def _decide(self) -> None:
         """Let rows go when enough is known; afterwards follow what changes."""
         known = self._together()
-        if known is not None and known.stretches >= ENOUGH and np.all(known.sd_s * self.rate_hz < PRECISE):
+        if (
+            known is not None
+            and known.stretches >= tuning.ENOUGH
+            and np.all(known.sd_s * self.rate_hz < tuning.PRECISE)
+        ):
             self.unknown = False
         if not self.holding:
             self._adopt()
         elif not self.unknown:
             self._let_go()
-        if self._tried % LONGER_AFTER == 0:
+        if self._tried % tuning.LONGER_AFTER == 0:
             self.stretch = min(2 * self.stretch, self.longest)
 
     def _together(self) -> Skew | None:
-        return combined(self._found, FLOOR / self.rate_hz)
+        return combined(self._found, tuning.FLOOR / self.rate_hz)
 
     def _adopt(self) -> None:
         """Compensate by what is known where that differs surely from what is compensated."""
@@ -234,7 +224,7 @@ class SkewWatch:
             return
         first = np.isinf(self.sd_s)
         off = np.abs(known.delay_s - self.skew_s)
-        moved = (off > 3 * known.sd_s) & (off * self.rate_hz > SMALL)
+        moved = (off > 3 * known.sd_s) & (off * self.rate_hz > tuning.SMALL)
         self.skew_s = np.where(moved, known.delay_s, self.skew_s)
         self.sd_s, self._measured = known.sd_s, known.delay_s
         self._say(np.flatnonzero(moved | first), known)

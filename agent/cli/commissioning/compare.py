@@ -8,12 +8,11 @@ import numpy as np
 
 from agent.cli.terminal.output import print_table, show
 from agent.cli.terminal.pictures import new_figure, save_picture
+from agent.cli.tuning import LINE_POINTS
 from agent.evaluation.compare.trial import Estimates
 from agent.text import counted, number, with_sd
 
 Document = Mapping[str, Any]
-POINTS = 2000
-"""Points of a line: more are a band."""
 
 
 def print_compared(document: Document) -> None:
@@ -64,7 +63,7 @@ def _draw_parameter(axis: Any, rows: Mapping[str, Estimates], column: int, sampl
     """Draw one parameter; the view is where the later half of estimates lies, a swinging start is cut off."""
     seen = []
     for name, found in rows.items():
-        some = np.unique(np.linspace(0, len(found.index) - 1, min(len(found.index), POINTS)).astype(int))
+        some = np.unique(np.linspace(0, len(found.index) - 1, min(len(found.index), LINE_POINTS)).astype(int))
         shown = np.where(found.valid[some, column], found.theta[some, column], np.nan)
         (line,) = axis.plot(found.index[some], shown, lw=0.9, label=name)
         if name == "window-ml":

@@ -8,12 +8,11 @@ import numpy as np
 
 from agent.cli.terminal.output import print_table, show
 from agent.cli.terminal.pictures import new_figure, save_picture
+from agent.cli.tuning import DRAWN_SAMPLES
 from agent.commissioning.explained import Explained
 from agent.text import counted, interval, number, percent, with_sd
 
 Document = Mapping[str, Any]
-DRAWN = 4000
-"""Samples of a picture: more are a band."""
 
 
 def print_identified(document: Document) -> None:
@@ -77,7 +76,7 @@ def draw(document: Document, seen: Explained, path: Path) -> None:
     names = list(document["unexplained"])
     figure = new_figure(9, 1.2 + 1.8 * len(names))
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-    length = min(len(seen.measured), DRAWN)
+    length = min(len(seen.measured), DRAWN_SAMPLES)
     t = np.arange(length)
     for column, (name, axis) in enumerate(zip(names, axes, strict=True)):
         share = percent(document["unexplained"][name] / 100)

@@ -8,7 +8,8 @@ from agent.cli.terminal.output import print_table, show
 from agent.text import number
 
 NOT_MET = 1
-"""Exit code when a scenario is not as expected."""
+"""Fixed by the command line: exit code when a scenario is not as expected: exit code when a scenario is not
+as expected."""
 _COLUMNS = ("scenario", "", "error rms / sd", "covered %", "delay s", "missed", "false", "lost", "gaps",
             "recovery s", "events")  # fmt: skip
 

@@ -17,6 +17,7 @@ from agent import __version__
 from agent.cli.gateway.agent_of import asked, database_of
 from agent.cli.gateway.redaction import Redaction
 from agent.cli.terminal.output import json_ready, show
+from agent.cli.tuning import DIAG_BYTES, DIAG_S
 from agent.config import files_of
 from agent.errors import AgentError, RecordingError, StoreError, UsageError
 from agent.recording import blocks
@@ -24,10 +25,6 @@ from agent.recording.setup import FOLDER
 from agent.storage.database.connect import connect_reader
 from agent.storage.database.files import opened
 from agent.text import counted
-
-SPAN_S = 60.0
-MOST_BYTES = 20_000_000
-"""Of one file of text at most, from its end."""
 
 
 def newest_samples(db: Path) -> Iterator[tuple[str, bytes]]:
@@ -47,17 +44,17 @@ def _blocks(file: Path) -> bytes:
     newest = kept[-1].arrival_ns if kept else 0
     with file.open("rb") as stream:
         header = blocks.read_header(stream, file)
-    fresh = [block for block in kept if newest - block.arrival_ns <= SPAN_S * 1e9]
+    fresh = [block for block in kept if newest - block.arrival_ns <= DIAG_S * 1e9]
     return blocks.encode_header(header) + b"".join(map(blocks.encode_block, fresh))
 
 
 def _lines(file: Path) -> bytes:
     """Return the last minute of a candump log: lines that begin with (seconds)."""
     with file.open("rb") as stream:
-        stream.seek(max(0, file.stat().st_size - MOST_BYTES))
+        stream.seek(max(0, file.stat().st_size - DIAG_BYTES))
         lines = [line for line in stream.read().splitlines(keepends=True) if line.startswith(b"(")]
     until = _seconds(lines[-1]) if lines else 0.0
-    return b"".join(line for line in lines if until - _seconds(line) <= SPAN_S)
+    return b"".join(line for line in lines if until - _seconds(line) <= DIAG_S)
 
 
 def _seconds(line: bytes) -> float:

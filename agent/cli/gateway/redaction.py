@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
+from agent.cli.tuning import SECRET_LETTERS
 from agent.config.reading.secrets import is_secret
 
 REMOVED: Final = "REMOVED"
-_LEAST_LETTERS: Final = 4  # what is shorter is found everywhere by chance
 _KEY: Final = re.compile(
     r"""(?imx)
         ([\w.-]*(?:pass(?:word|wort|wd|phrase|code)|\bpass|_pass|pwd|secret|token|api_?key|private_?key)["']?
@@ -37,7 +37,7 @@ class Redaction:
 
     def __init__(self, configs: Sequence[Path]) -> None:
         found = {form for file in configs for value in _secrets_of(file) for form in _forms(value)}
-        self._values = sorted((v for v in found if len(v) >= _LEAST_LETTERS), key=len, reverse=True)
+        self._values = sorted((v for v in found if len(v) >= SECRET_LETTERS), key=len, reverse=True)
 
     def cleaned(self, content: bytes) -> bytes:
         """Return a text without secrets."""

@@ -6,10 +6,10 @@ from typing import Any
 
 from agent.cli.gateway.agent_of import asked, database_of
 from agent.cli.terminal.output import print_table, show
+from agent.cli.tuning import RELOAD_WAIT_S
 from agent.errors import ConfigError, Fault
 
 Document = Mapping[str, Any]
-RELOAD_S = 180.0
 
 
 def status(named: Path | None) -> Document:
@@ -19,7 +19,7 @@ def status(named: Path | None) -> Document:
 
 def reload(named: Path | None) -> Document:
     """Have the agent take up its changed files; raises ConfigError with all faults where it refuses them."""
-    found = asked(database_of(named), "reload", timeout_s=RELOAD_S)
+    found = asked(database_of(named), "reload", timeout_s=RELOAD_WAIT_S)
     if "refused" in found:
         raise ConfigError(Fault(**fault) for fault in found["refused"])
     return found

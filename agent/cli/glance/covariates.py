@@ -5,12 +5,10 @@ from math import inf
 from typing import Any
 
 from agent.blocks.covariates.compensation import dependences
+from agent.cli.tuning import LATE_MEAN_S
 from agent.numerics.reference.covariates.dependence import Dependence
 from agent.records import Baseline, CovariateMean
 from agent.text import ahead, behind, number
-
-LATE_S = 120.0
-"""A mean is of a minute that is over, and is committed some time later."""
 
 
 def covariates_now(
@@ -42,7 +40,7 @@ def _row(
         "value": value,
         "t_ns": t_ns,
         "age_s": age_s,
-        "stale": (inf if age_s is None else age_s) > holds_s + LATE_S,
+        "stale": (inf if age_s is None else age_s) > holds_s + LATE_MEAN_S,
         "compensates": compensates,
         "words": _words(compensates),
     }

@@ -10,13 +10,11 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from agent.cli.tuning import BAR_LIMITS, BAR_WIDTH, NARROWEST_BAR
 from agent.text import number, printable, short_time, with_sd
 
 Row = Mapping[str, Any]
-_WIDTH = 25  # of a bar
-_NARROWEST = 11
 _WRAPPED = ("what", "status", "")
-_BEYOND = 1.25  # how many limits a bar shows to each side
 _STYLES = {"valid": "green", "warming": "cyan", "unexcited": "yellow", "invalid": "red"}
 _STATE_STYLES = {"UNACK": "bold white on red", "ACKED": "red", "RTNUN": "yellow"}
 
@@ -85,13 +83,13 @@ class _Bar:
     style: str
 
     def __rich_measure__(self, _console: Console, options: ConsoleOptions) -> Measurement:
-        return Measurement(_NARROWEST, min(options.max_width, _WIDTH))
+        return Measurement(NARROWEST_BAR, min(options.max_width, BAR_WIDTH))
 
     def __rich_console__(self, _console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
-        yield _line(bar(self.row, min(options.max_width, _WIDTH)), self.style)
+        yield _line(bar(self.row, min(options.max_width, BAR_WIDTH)), self.style)
 
 
-def bar(row: Row, width: int = _WIDTH) -> str:
+def bar(row: Row, width: int = BAR_WIDTH) -> str:
     """Draw an interval on a scale: `│` at the limits and the reference, `━` what may be, `●` the estimate.
 
     row: of `overview`. Without a limit the scale is what the interval needs; without an estimate it is empty.
@@ -101,7 +99,7 @@ def bar(row: Row, width: int = _WIDTH) -> str:
     if reference is None or any(value is None for value in values):
         return "·" * width
     limit = row["limit"]
-    reach = _BEYOND * limit if limit else 1.1 * max(abs(value - reference) for value in values) or 1.0
+    reach = BAR_LIMITS * limit if limit else 1.1 * max(abs(value - reference) for value in values) or 1.0
     first, last, middle = (_cell((value - reference) / reach, width) for value in values)
     cells = ["·"] * width
     for mark in [0.0, *((-limit / reach, limit / reach) if limit else ())]:

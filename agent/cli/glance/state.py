@@ -6,6 +6,7 @@ from typing import Any
 from agent.cli.glance.covariates import covariates_now
 from agent.cli.glance.files import Watched
 from agent.cli.glance.known import known_now, known_words
+from agent.cli.tuning import STALE_S
 from agent.errors import StoreError
 from agent.storage.read import baselines, covariates, queries, recent
 
@@ -13,7 +14,6 @@ Row = Mapping[str, Any]
 _PRIORITIES = ("low", "medium", "high", "critical")
 _STATES = ("NORM", "DSUPR", "OOSRV", "SHLVD", "RTNUN", "ACKED", "UNACK")
 """The states of ISA-18.2 in the order in which they ask for somebody."""
-_STALE_S = 30.0  # a source writes a row of its ledger every 10 s
 
 
 def overview(watched: Iterable[Watched], now_ns: int) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def _rig(database: Watched, name: str, tables: Mapping[str, Sequence[Row]], now_
         "parameters": parameters,
         "known": known_words(parameters),
         "alarms": sorted(alarms, key=urgency, reverse=True),
-        "sources": [{**row, "stale": (now_ns - row["t_ns"]) / 1e9 > _STALE_S} for row in tables["sources"]],
+        "sources": [{**row, "stale": (now_ns - row["t_ns"]) / 1e9 > STALE_S} for row in tables["sources"]],
         "covariates": covariates_now(
             covariates.newest(database.path, name), baselines.standing(database.path, name), now_ns
         ),

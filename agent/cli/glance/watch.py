@@ -14,14 +14,13 @@ from agent.cli.glance.files import Watched, one
 from agent.cli.glance.frame import frame
 from agent.cli.glance.state import overview
 from agent.cli.terminal.output import console, show
+from agent.cli.tuning import EVERY_S
 from agent.clock import wall_ns
 from agent.errors import StoreError
 from agent.text import iso_time, printable, short_time
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-_EVERY_S = 1.0
 
 
 def watch(target: Path | None, *, once: bool) -> None:
@@ -58,7 +57,7 @@ def _follow(watched: Watched) -> None:
             except StoreError as error:
                 picture = Text(printable(str(error)), style="red")
             live.update(picture, refresh=True)
-            key = _pressed(_EVERY_S).lower()
+            key = _pressed(EVERY_S).lower()
             if key in {"q", "\x04"}:
                 return
             first += key == "n"

@@ -6,13 +6,13 @@ from typing import Any, Final
 from asyncua import ua
 
 from agent.cli.opcua.space import instant
+from agent.storage.tuning import LONGEST_SHELF_NS
 
 Row = Mapping[str, Any]
 SEVERITIES: Final[Mapping[str, int]] = {"low": 250, "medium": 500, "high": 750, "critical": 1000}
 _PROCESS: Final = frozenset({"level", "rate", "forecast"})
 _SILENT: Final = ("Suppressed", "OutOfService", "Shelved")
 _ACKED: Final = frozenset({"NORM", "ACKED"})
-_MOST_SHELVED_MS: Final = 7 * 86_400_000.0
 
 
 def states_of(alarm: Row) -> dict[str, bool]:
@@ -72,7 +72,7 @@ def fields_of(alarm: Row, step: Row, places: Mapping[str, Any]) -> dict[str, Any
         "Comment": _text(step["comment"] or ""), "ClientUserId": ua.Variant(step["by"] or "", kinds.String),
         "EnabledState": _text("Enabled"), "EnabledState/Id": ua.Variant(True, kinds.Boolean),
         "SuppressedOrShelved": ua.Variant(any(state[name] for name in _SILENT), kinds.Boolean),
-        "MaxTimeShelved": ua.Variant(_MOST_SHELVED_MS, kinds.Double),
+        "MaxTimeShelved": ua.Variant(LONGEST_SHELF_NS / 1e6, kinds.Double),
         "ShelvingState/CurrentState": _text("TimedShelved" if state["Shelved"] else "Unshelved"),
     }  # fmt: skip
     for name, words in _WORDS.items():

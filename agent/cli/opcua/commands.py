@@ -12,10 +12,9 @@ from agent.cli.opcua.access import caller
 from agent.cli.opcua.conditions import Condition, Conditions, Method
 from agent.errors import AgentError
 from agent.storage.maintenance import is_commanded
+from agent.storage.tuning import COMMENT_LETTERS, LONGEST_SHELF_NS
 from agent.storage.write.command_socket import ask
 
-_LONGEST_COMMENT: Final = 1000
-_LONGEST_SHELF_MS: Final = 7 * 86_400_000.0
 _REFUSED: Final[Mapping[tuple[str, str], str]] = {
     ("Acknowledge", "NORM"): "BadConditionBranchAlreadyAcked",
     ("Acknowledge", "ACKED"): "BadConditionBranchAlreadyAcked",
@@ -78,7 +77,7 @@ class Commands:
 
     async def _shelve(self, place: Any, *said: Any) -> Any:
         length_ms = said[0].Value if len(said) == 1 else None
-        if not isinstance(length_ms, float | int) or not 0.0 < length_ms <= _LONGEST_SHELF_MS:
+        if not isinstance(length_ms, float | int) or not 0.0 < length_ms <= LONGEST_SHELF_NS / 1e6:
             return _status("BadShelvingTimeOutOfRange")
         return await self._do("TimedShelve", "shelve", place, length_ns=round(length_ms * 1e6))
 
@@ -97,7 +96,7 @@ class Commands:
             return _status("BadArgumentsMissing" if len(said) < 2 else "BadTooManyArguments")
         event, comment = (argument.Value for argument in said)
         words = str(getattr(comment, "Text", None) or "")
-        if len(words) > _LONGEST_COMMENT:
+        if len(words) > COMMENT_LETTERS:
             return _status("BadOutOfRange")
         found = self._conditions.find(place)
         if found is not None and not _is_of(event, found):

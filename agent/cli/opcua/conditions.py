@@ -10,11 +10,10 @@ from asyncua.common.events import get_event_obj_from_type_node
 
 from agent.cli.opcua.alarm_fields import event_id, fields_of
 from agent.cli.opcua.space import Space
+from agent.cli.tuning import NORMAL_KEPT
 
 Row = Mapping[str, Any]
 Method = Callable[..., Awaitable[Any]]
-NORMAL_KEPT: Final = 100
-"""Alarms back to normal whose nodes stay, so that whoever acts late learns why it is refused."""
 _STATES: Final = ("ConfirmedState", "SuppressedState", "OutOfServiceState")
 ADDED: Final = ("Confirm", "RemoveFromService", "PlaceInService")
 """Methods that the type leaves open."""

@@ -10,15 +10,16 @@ from agent.cli.glance.files import Watched
 from agent.cli.glance.state import overview
 from agent.cli.opcua.conditions import Conditions
 from agent.cli.opcua.space import Space
+from agent.cli.tuning import EVERY_S, PAGE_CHANGES
 from agent.clock import wall_ns
 from agent.errors import StoreError
 from agent.storage.read.recent import Change, Cursor, changes, newest
 
 log = logging.getLogger(__name__)
-EVERY_S: Final = 1.0
 _NO_ROWS: Final = 10**18 - 1
-"""A cursor so far ahead that rows of estimates are not read: those come by the overview, the newest only."""
-_CHANGES: Final = 500
+"""Fixed by its meaning: a cursor so far ahead that rows are not read: they come by the overview, the newest
+only: a cursor so far ahead that rows of estimates are not read: those come by the overview, the newest
+only."""
 
 
 @dataclass(slots=True)
@@ -80,7 +81,7 @@ class Following:
             return _Look(overview([database], wall_ns())["rigs"], [], now, is_first)
         steps: list[Change] = []
         while after != now:
-            page, after = changes(database.path, after, _CHANGES)
+            page, after = changes(database.path, after, PAGE_CHANGES)
             steps += page
             now = now if now.reaches(after) else after
         return _Look(overview([database], wall_ns())["rigs"], steps, after, is_first)

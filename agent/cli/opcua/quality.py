@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
+from agent.cli.tuning import STALE_S
+
 Row = Mapping[str, Any]
-STALE_S: Final = 30.0
-"""As the page says that a source is silent."""
 GOOD: Final = "Good"
 OUT_OF_REACH: Final = "UncertainNoCommunicationLastUsableValue"
 _BAD: Final[Mapping[str | None, str]] = {

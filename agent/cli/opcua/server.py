@@ -19,12 +19,11 @@ from agent.cli.opcua.commands import Commands
 from agent.cli.opcua.conditions import Conditions
 from agent.cli.opcua.following import Following
 from agent.cli.opcua.space import NAMESPACE, Space
+from agent.cli.tuning import OPCUA_BYTES, OPCUA_SESSIONS
 from agent.errors import UsageError
 
 APPLICATION_URI: Final = "urn:deltak:server"
-_MOST_SESSIONS: Final = 100
-_MOST_MESSAGE: Final = 1024 * 1024  # bytes of one; the library's own bound is a hundred times that
-_REFRESH_SEVERITY: Final = 100
+_REFRESH_SEVERITY: Final = 100  # fixed by OPC UA part 9: of the events around a refresh
 
 
 async def until_stopped(watched: Sequence[Watched], options: Options, users: Users) -> None:
@@ -70,8 +69,8 @@ async def _made(options: Options, users: Users) -> Any:
     server = DiscoverableServer(user_manager=UserDirectory(users, trusted))
     server.iserver.bind_condition_methods = _REFRESH_SEVERITY
     await server.init()
-    server.iserver.isession.max_connections = _MOST_SESSIONS
-    server.limits.max_message_size = _MOST_MESSAGE
+    server.iserver.isession.max_connections = OPCUA_SESSIONS
+    server.limits.max_message_size = OPCUA_BYTES
     server.set_server_name("deltak")
     await server.set_build_info(
         APPLICATION_URI, "deltak", "deltak", __version__, __version__, datetime.now(UTC)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.cli.terminal.output import print_table, show
+from agent.cli.tuning import FLEET_ROWS
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
 from agent.prognosis.posterior import BRIEF
@@ -26,11 +27,9 @@ from agent.storage.read import baselines, queries
 from agent.storage.read.points import Points, all_points, longest_window
 from agent.storage.read.tables import is_table, table_points
 from agent.text import ahead, number, short_time
+from agent.units import YEAR_DAYS
 
 Document = Mapping[str, Any]
-_YEAR = 365.25
-MOST_ROWS = 1500
-"""Of one part that are read: evenly spread hours are enough for a slope."""
 
 
 def fleet(
@@ -108,7 +107,7 @@ def _stored(path: Path, parameter: str | None) -> Iterator[_Part]:
     window = longest_window(path)
     for rig in queries.rigs(path):
         standing = baselines.standing(path, rig)
-        for points in all_points(path, rig, MOST_ROWS):
+        for points in all_points(path, rig, FLEET_ROWS):
             if parameter in {None, points.parameter}:
                 key = rig, points.parameter
                 same = compensated(path, points, standing)
@@ -119,7 +118,7 @@ def _stored(path: Path, parameter: str | None) -> Iterator[_Part]:
 def _forwarded(histories: ParquetHistories | PostgresHistories, parameter: str | None) -> Iterator[_Part]:
     """Yield the parts of rigs whose rows were forwarded; of their forecasts nothing is known there."""
     for rig in histories.rigs:
-        history = histories.history(rig, MOST_ROWS)
+        history = histories.history(rig, FLEET_ROWS)
         limits = histories.limits(rig)
         for points in history.points():
             if parameter in {None, points.parameter}:
@@ -142,7 +141,7 @@ def _row(part: _Part, horizon: float | None, limit_percent: float) -> dict[str, 
     if not asked.trend:
         return row
     if reference:
-        row["slope_percent_per_year"] = 100.0 * _YEAR * asked.newest / abs(reference)
+        row["slope_percent_per_year"] = 100.0 * YEAR_DAYS * asked.newest / abs(reference)
     row["trend"] = True
     found = forecast_document(history, int(points.t_ns[-1]), limit, horizon, None, effort=BRIEF) or {}
     return row | {name: found[name] for name in ("status", "p50_s", "p50_at", "chance") if name in found}

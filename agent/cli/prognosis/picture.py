@@ -8,10 +8,10 @@ import numpy as np
 
 from agent.cli.prognosis.words import time_unit
 from agent.cli.terminal.pictures import new_figure, save_picture
+from agent.cli.tuning import MOST_PAST
 from agent.text import short_time
 
 Document = Mapping[str, Any]
-MOST_PAST = 100
 
 
 def draw(found: Document, path: Path, past: Sequence[Document] = ()) -> None:

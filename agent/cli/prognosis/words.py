@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.text import ahead, interval, number, percent, short_time, with_sd
+from agent.units import DAY_S
 
 Document = Mapping[str, Any]
-_DAY = 86_400.0
 
 
 def time_unit(seconds: float) -> tuple[int, str]:
@@ -51,7 +51,7 @@ def drift(found: Document) -> str:
     """Write the drift in a unit of time that suits the span."""
     seconds, word = time_unit(found["span_s"])
     slope, sd, lower, upper = (
-        found[f"slope_{k}"] * seconds / _DAY for k in ("per_day", "sd", "lower", "upper")
+        found[f"slope_{k}"] * seconds / DAY_S for k in ("per_day", "sd", "lower", "upper")
     )
     change = f"{with_sd(slope, sd)} {unit_of(found)}".rstrip()
     return f"drift {change} per {word} (95 %: {interval(lower, upper)})"

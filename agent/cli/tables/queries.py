@@ -7,6 +7,7 @@ from typing import Any
 
 from agent.cli.tables.results import verdict
 from agent.cli.terminal.output import print_rows, print_table
+from agent.cli.tuning import TABLE_ROWS
 from agent.storage.read import queries
 from agent.text import interval, number, short_time, with_sd
 
@@ -22,8 +23,6 @@ RECORD_COLUMNS = (
     "samples", "bytes", "state", "file", "config_sha256", "code_version", "baseline_id", "message",
 )  # fmt: skip
 VERDICT_COLUMNS = ("rig", "run_id", "t_ns", "time", "hypothesis", "size", "sd", "unit", "probability")
-TABLE_ROWS = 40
-"""A table for people shows the newest rows; JSON and CSV give all."""
 
 
 def estimates(

@@ -15,7 +15,7 @@ from agent.cli.terminal.signals import INTERRUPTED, interrupted
 from agent.cli.terminal.streams import ReaderGoneError, guarded_streams
 from agent.errors import Fault, UsageError
 
-USAGE = 2
+USAGE = 2  # fixed by the command line: exit code of a wrong call
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ import sys
 from collections.abc import Callable
 from time import monotonic
 
+from agent.cli.tuning import REPEAT_S
 from agent.text import printable
 
-PERIOD_S = 60.0
 THIRD_PARTY = ("pymodbus", "can", "asyncio", "matplotlib", "sqlite_utils", "py.warnings")
 """What speaks only where logs are set to debug; Python's warnings (numpy's, scipy's) are the last of them."""
 
@@ -19,7 +19,7 @@ class OncePerPeriod(logging.Filter):
     whose figures differ each time is still one fault.
     """
 
-    def __init__(self, period_s: float = PERIOD_S, now_s: Callable[[], float] = monotonic) -> None:
+    def __init__(self, period_s: float = REPEAT_S, now_s: Callable[[], float] = monotonic) -> None:
         super().__init__()
         self._period_s, self._now_s = period_s, now_s
         self._shown: dict[tuple[str, str, str], tuple[float, int]] = {}

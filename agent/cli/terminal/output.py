@@ -7,6 +7,7 @@ import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+from agent.cli.tuning import PLAIN_WIDTH
 from agent.errors import Fault
 from agent.text import iso_time, printable
 
@@ -42,9 +43,6 @@ def _narrowed(natural: Sequence[int], least: Sequence[int], room: int) -> list[i
             break
         found[max(giving, key=found.__getitem__)] -= 1
     return found
-
-
-PLAIN_WIDTH = 250
 
 
 def json_ready(value: Any) -> Any:

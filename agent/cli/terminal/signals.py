@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-INTERRUPTED = 130
+INTERRUPTED = 130  # fixed by POSIX shells: exit code after SIGINT
 AGENT = "run"
 """The command that SIGHUP asks to reload, once it can (`agent.runtime.process.requests`)."""
 

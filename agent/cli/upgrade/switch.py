@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.cli.terminal.output import show
+from agent.cli.tuning import CHECK_S, POLL_S, RECENT_S
 from agent.cli.upgrade import copies
 from agent.cli.upgrade.agents import Agents, AgentsError
 from agent.cli.upgrade.releases import Releases
@@ -65,10 +66,6 @@ def _newest(path: Path) -> list[tuple[str, int, int, str, float | None]]:
 
 
 Document = Mapping[str, Any]
-POLL_S = 0.5
-CHECK_S = 600.0
-RECENT_S = 60.0
-"""A rig whose last valid row is older than this, or than the time given, is not waited for."""
 
 
 class TakenBackError(AgentError):

@@ -12,15 +12,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from agent.cli.glance.files import Watched
+from agent.cli.tuning import ASKED_AT_ONCE, KEPT_ANSWERS, LONGEST_VALUE
 from agent.cli.web.documents import DOCUMENTS, made
 from agent.cli.web.guard import of_error, refusal
 from agent.cli.web.stream import is_settled, stamp
 from agent.clock import monotonic_ns
 from agent.errors import AgentError
-
-_KEPT = 64  # answers
-_LONGEST_VALUE = 200  # characters of a value that is asked
-_AT_ONCE = 2  # questions to the databases; others wait
 
 Key = tuple[str, tuple[tuple[str, str], ...]]
 
@@ -41,7 +38,7 @@ class Answers:
 
     watched: tuple[Watched, ...]
     _kept: OrderedDict[Key, tuple[Any, bytes]] = field(default_factory=OrderedDict)
-    _gate: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(_AT_ONCE))
+    _gate: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(ASKED_AT_ONCE))
 
     async def answer(self, request: Request) -> Response:
         """Answer GET /api/v1/NAME?..."""
@@ -52,10 +49,10 @@ class Answers:
         if strange:
             takes = ", ".join(DOCUMENTS[name].takes) or "nothing"
             return refusal(
-                400, strange[0][:_LONGEST_VALUE], f"is nothing that {name} can be asked", f"it takes {takes}"
+                400, strange[0][:LONGEST_VALUE], f"is nothing that {name} can be asked", f"it takes {takes}"
             )
-        if any(len(value) > _LONGEST_VALUE for value in request.query_params.values()):
-            return refusal(400, name, f"a value has more than {_LONGEST_VALUE} characters", "shorten it")
+        if any(len(value) > LONGEST_VALUE for value in request.query_params.values()):
+            return refusal(400, name, f"a value has more than {LONGEST_VALUE} characters", "shorten it")
         try:
             body = await self._body((name, tuple(sorted(request.query_params.items()))))
         except AgentError as error:
@@ -70,7 +67,7 @@ class Answers:
                 found = state, await run_sync(self._made, key)
                 self._kept[key] = found
             self._kept.move_to_end(key)
-            while len(self._kept) > _KEPT:
+            while len(self._kept) > KEPT_ANSWERS:
                 self._kept.popitem(last=False)
         return found[1]
 

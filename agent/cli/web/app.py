@@ -16,6 +16,7 @@ from starlette.types import ASGIApp
 
 from agent.cli.glance.files import Watched
 from agent.cli.terminal.output import json_ready
+from agent.cli.tuning import MOST_LISTENERS
 from agent.cli.web.answers import Answers, tagged
 from agent.cli.web.guard import Guard, refusal
 from agent.cli.web.openapi import openapi
@@ -23,7 +24,6 @@ from agent.cli.web.secret import Secret
 from agent.cli.web.stream import Event, Hub, Position
 from agent.cli.web.writes import Writes
 
-MOST_LISTENERS: Final = 600
 _TYPES: Final = {
     ".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8", ".svg": "image/svg+xml", ".txt": "text/plain; charset=utf-8",

@@ -12,6 +12,7 @@ from agent.cli.glance.files import Watched
 from agent.cli.glance.state import overview
 from agent.cli.prognosis.trend import document as trend_document
 from agent.cli.terminal.output import json_ready
+from agent.cli.tuning import MOST_INSTANTS, PAGE_POINTS, SHOWN_POINTS
 from agent.cli.web.forecasts import forecasts
 from agent.cli.web.model import drawing
 from agent.clock import wall_ns
@@ -23,10 +24,6 @@ from agent.storage.read.queries import Rows
 
 Asked = Mapping[str, str]
 Make = Callable[[tuple[Watched, ...], Asked], Mapping[str, Any]]
-MOST_INSTANTS = 5000
-"""Rows of estimates are given whole, so this is a limit on what one answer holds."""
-_MOST_POINTS = 20_000
-_SHOWN_POINTS = 800
 
 PARAMETERS: Final = {
     "db": "name of a database, of those that /rigs names; all without",
@@ -138,15 +135,15 @@ def _trend(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
     times = asked.get("since"), asked.get("until")
     limit = None if "limit" not in asked else _number("limit", asked["limit"])
     found = dict(trend_document(database.path, parameter, asked.get("rig"), times, limit))
-    return {**found, "points": thinned(np.array(found["points"], dtype=object).reshape(-1, 3), _SHOWN_POINTS)}
+    return {**found, "points": thinned(np.array(found["points"], dtype=object).reshape(-1, 3), SHOWN_POINTS)}
 
 
 def _points(watched: tuple[Watched, ...], asked: Asked) -> Mapping[str, Any]:
     database = _one(watched, asked)
     parameter = _needed(asked, "parameter")
-    most = int(_number("points", asked.get("points", str(_SHOWN_POINTS))))
-    if not 1 <= most <= _MOST_POINTS:
-        raise UsageError.at("points", f"{most} is not within 1 and {_MOST_POINTS}", "ask for fewer")
+    most = int(_number("points", asked.get("points", str(SHOWN_POINTS))))
+    if not 1 <= most <= PAGE_POINTS:
+        raise UsageError.at("points", f"{most} is not within 1 and {PAGE_POINTS}", "ask for fewer")
     times = asked.get("since"), asked.get("until")
     started = time.perf_counter()
     found = points_of(database.path, asked.get("rig"), parameter, *times)

@@ -3,16 +3,15 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from agent.cli.glance.files import Watched
 from agent.cli.prognosis.words import forecast_words, record_words
+from agent.cli.tuning import KEPT_PARTS, MOST_PAST
 from agent.runtime.forecasts.record import record_of
 from agent.storage.read import queries, recent
 
 Row = Mapping[str, Any]
-MOST_PAST: Final = 100
-"""Forecasts of one parameter that are given; of more every second, third ... is, and the newest always."""
 
 
 def forecasts(databases: Iterable[Watched], rig: str | None, parameter: str | None) -> dict[str, Any]:
@@ -39,7 +38,6 @@ class _Part:
     refused: int
 
 
-_PARTS_KEPT: Final = 100
 _parts: dict[tuple[Path, str | None, str | None], _Part] = {}
 
 
@@ -49,7 +47,7 @@ def _kept(database: Watched, rig: str | None, parameter: str | None) -> _Part:
     mark = recent.forecasts_mark(database.path)
     part = _parts.get(key)
     if part is None or part.mark != mark:
-        if len(_parts) >= _PARTS_KEPT:
+        if len(_parts) >= KEPT_PARTS:
             _parts.clear()
         part = _parts[key] = _read(database, rig, parameter, mark)
     return part

@@ -9,10 +9,10 @@ from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from agent.cli.terminal.output import fault_document
+from agent.cli.tuning import PATIENCE_S
 from agent.errors import AgentError, StoreError, UsageError
 
 log = logging.getLogger(__name__)
-_PATIENCE_S = 30.0  # for whoever does not read an answer; a listener that is slow costs its place
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
     "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
@@ -73,7 +73,7 @@ class Guard:
                 begun = True
                 own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
                 message = {**message, "headers": [*message.get("headers", ()), *own]}
-            await asyncio.wait_for(send(message), _PATIENCE_S)
+            await asyncio.wait_for(send(message), PATIENCE_S)
 
         if not self._is_host(scope):
             answer = refusal(
@@ -84,7 +84,7 @@ class Guard:
         try:
             await self._inner(scope, receive, send_guarded)
         except TimeoutError:
-            log.info("an answer was not read within %g s and is given up", _PATIENCE_S)
+            log.info("an answer was not read within %g s and is given up", PATIENCE_S)
         except Exception as error:
             log.exception("a request could not be answered: %s", type(error).__name__)
             if begun:

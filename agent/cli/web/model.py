@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from agent.cli.tuning import DRAWN_ELEMENTS
 from agent.config.domains.plant import GROUND, Domain, Link
 
 if TYPE_CHECKING:
@@ -12,8 +13,6 @@ if TYPE_CHECKING:
     from agent.config.model.tables import MechanicsModel
     from agent.config.tables import RigConfig
 
-MOST = 24
-"""Elements that can be drawn: more would be a tangle, of which only the boxes are drawn."""
 _KINDS = ("spring", "damper", "friction")
 
 
@@ -47,7 +46,7 @@ def drawing(config: "RigConfig") -> dict[str, Any]:
     places = _places(list(graph.boxes), pairs)
     taken: set[tuple[int, int]] = set()
     drawn = []
-    for name, kind, between in graph.elements[:MOST]:
+    for name, kind, between in graph.elements[:DRAWN_ELEMENTS]:
         first, last = sorted(places[end] for end in between)
         gaps = range(first, max(last, first + 1))
         row = next(row for row in count() if not any((gap, row) in taken for gap in gaps))

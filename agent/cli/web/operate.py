@@ -6,11 +6,11 @@ from typing import Any, Final
 
 from agent.errors import UsageError
 from agent.storage.read.times import age_ns
+from agent.storage.tuning import COMMENT_LETTERS
 from agent.storage.write.command_socket import ask
 
 CAUSES: Final[Mapping[str, str]] = {"ack": "acknowledge", "shelve": "shelve", "unshelve": "unshelve"}
 """What is asked of the agent, by the name that it has in addresses."""
-_LONGEST_COMMENT = 1000
 
 
 def operate(db: Path, action: str, alarm: int, by: str, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -27,8 +27,8 @@ def operate(db: Path, action: str, alarm: int, by: str, asked: Mapping[str, Any]
         UsageError: what was asked makes no sense; StoreError: no agent listens, or it refuses.
     """
     comment = asked.get("comment")
-    if comment is not None and not (isinstance(comment, str) and len(comment) <= _LONGEST_COMMENT):
-        raise UsageError.at("comment", f"is no text of at most {_LONGEST_COMMENT} characters", "shorten it")
+    if comment is not None and not (isinstance(comment, str) and len(comment) <= COMMENT_LETTERS):
+        raise UsageError.at("comment", f"is no text of at most {COMMENT_LETTERS} characters", "shorten it")
     length = _length_ns(asked.get("for")) if action == "shelve" else None
     return ask(
         db, "alarm", cause=CAUSES[action], ids=[alarm], by=by, comment=comment, length_ns=length, brief=True

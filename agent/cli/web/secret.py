@@ -11,14 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from agent.cli.tuning import PASSWORD_BYTES, SCRYPT_COST, SECRET_BYTES, SECRET_FILE_BYTES, TOKEN_BYTES
 from agent.errors import UsageError
 
-_COST = (16384, 8, 1)  # n, r, p: 16 MB and some 50 ms a try
-_SHORTEST = 8
-_MOST_BYTES_OF_SECRET = 1024
-_SHORTEST_TOKEN = 16
-_MOST_BYTES_OF_FILE = 65536
-_GROUP, _OTHERS = 0o070, 0o007
+_GROUP, _OTHERS = 0o070, 0o007  # fixed by POSIX: rights of the group and of others
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +30,7 @@ class Secret:
 
     def is_known_by(self, text: str) -> bool:
         """Tell whether a text is the password or the token; takes equally long for right and wrong ones."""
-        said = text.encode("utf-8", "replace")[:_MOST_BYTES_OF_SECRET]
+        said = text.encode("utf-8", "replace")[:SECRET_BYTES]
         if self.password is not None:
             salt, known = self.password
             return hmac.compare_digest(_hash(said, salt), known)
@@ -44,9 +40,9 @@ class Secret:
     def of_password(cls, text: str) -> Self:
         """Return the secret of a new password. Raises UsageError for one that is too short or too long."""
         said = text.encode()
-        if not _SHORTEST <= len(said) <= _MOST_BYTES_OF_SECRET:
+        if not PASSWORD_BYTES <= len(said) <= SECRET_BYTES:
             raise UsageError.at(
-                "password", f"has {len(said)} bytes", f"take {_SHORTEST} to {_MOST_BYTES_OF_SECRET}"
+                "password", f"has {len(said)} bytes", f"take {PASSWORD_BYTES} to {SECRET_BYTES}"
             )
         salt = os.urandom(16)
         return cls(password=(salt, _hash(said, salt)))
@@ -55,7 +51,7 @@ class Secret:
     def read(cls, line: str) -> Self | None:
         """Return the secret whose `line` this is; None where it is none."""
         parts = line.split(":")
-        if parts[:4] != ["scrypt", *map(str, _COST)] or len(parts) != 6:
+        if parts[:4] != ["scrypt", *map(str, SCRYPT_COST)] or len(parts) != 6:
             return None
         try:
             salt, known = (base64.b64decode(part, validate=True) for part in parts[4:])
@@ -66,7 +62,7 @@ class Secret:
     def line(self) -> str:
         """Return a password's hash as a file holds it."""
         parts = [base64.b64encode(part).decode() for part in self.password or ()]
-        return ":".join(["scrypt", *map(str, _COST), *parts])
+        return ":".join(["scrypt", *map(str, SCRYPT_COST), *parts])
 
 
 def from_files(password: Path | None, token: Path | None) -> Secret | None:
@@ -107,7 +103,7 @@ def write_closed(path: Path, content: str) -> None:
 
 
 def _hash(text: bytes, salt: bytes) -> bytes:
-    n, r, p = _COST
+    n, r, p = SCRYPT_COST
     return hashlib.scrypt(text, salt=salt, n=n, r=r, p=p, maxmem=64 * 1024 * 1024)
 
 
@@ -116,7 +112,7 @@ def closed_content(path: Path) -> str:
     try:
         with path.open(encoding="utf-8") as file:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            content = file.read(_MOST_BYTES_OF_FILE).strip()
+            content = file.read(SECRET_FILE_BYTES).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError.at(
             path, f"cannot be read ({error})", "name a file with a password or a token"
@@ -147,7 +143,7 @@ def _password(path: Path) -> Secret:
 
 def _token(path: Path) -> Secret:
     content = closed_content(path)
-    if len(content) < _SHORTEST_TOKEN:
+    if len(content) < TOKEN_BYTES:
         what = f"holds a token of {len(content)} characters"
-        raise UsageError.at(path, what, f"take at least {_SHORTEST_TOKEN}, such as `openssl rand -hex 32`")
+        raise UsageError.at(path, what, f"take at least {TOKEN_BYTES}, such as `openssl rand -hex 32`")
     return Secret(token=content.encode())

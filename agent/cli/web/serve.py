@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Final
 
 from agent.cli.glance.files import Watched, several
+from agent.cli.tuning import WEB_STOP_S
 from agent.cli.web.secret import Secret, asked_password, from_files, write_password
 from agent.errors import UsageError
 from agent.storage.read import queries
 
 LOCAL: Final = frozenset({"localhost", "127.0.0.1", "[::1]"})
-_STOP_S = 2  # for answers that are on their way
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ def serve(databases: Sequence[Path], configs: Sequence[Path], options: Options) 
         sys.stdout.flush()
         config = uvicorn.Config(
             application(settings), log_config=None, access_log=False, server_header=False, lifespan="on",
-            timeout_graceful_shutdown=_STOP_S, proxy_headers=options.proxy is not None,
+            timeout_graceful_shutdown=WEB_STOP_S, proxy_headers=options.proxy is not None,
             forwarded_allow_ips=options.proxy, ws="none",
         )  # fmt: skip
         uvicorn.Server(config).run([listener])

@@ -5,14 +5,8 @@ import secrets
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
+from agent.cli.tuning import FAILED_ADDRESSES, FAILURES, FAILURES_S, MOST_SESSIONS, SESSION_S
 from agent.clock import monotonic_ns
-
-LIFE_S = 12 * 3600.0
-"""A shift and a half; then one signs in anew."""
-_MOST = 100  # sessions at a time; the oldest ends
-_FAILURES = 5  # wrong passwords an address may give ...
-_WITHIN_S = 60.0  # ... in this time
-_ADDRESSES = 1000
 
 
 def _now_s() -> float:
@@ -37,9 +31,9 @@ class Sessions:
     def begin(self, name: str) -> tuple[str, Session]:
         """Open a session and return the value of its cookie with it."""
         value = secrets.token_urlsafe(32)
-        session = Session(name, secrets.token_urlsafe(32), _now_s() + LIFE_S)
+        session = Session(name, secrets.token_urlsafe(32), _now_s() + SESSION_S)
         self._open[_key(value)] = session
-        while len(self._open) > _MOST:
+        while len(self._open) > MOST_SESSIONS:
             self._open.popitem(last=False)
         return value, session
 
@@ -66,14 +60,14 @@ class Attempts:
     def wait_s(self, address: str) -> float:
         """Return how long an address has to wait before it may try; 0 for at once."""
         recent = self._recent(address)
-        return max(0.0, recent[-_FAILURES] + _WITHIN_S - _now_s()) if len(recent) >= _FAILURES else 0.0
+        return max(0.0, recent[-FAILURES] + FAILURES_S - _now_s()) if len(recent) >= FAILURES else 0.0
 
     def fail(self, address: str) -> None:
         """Count a wrong password."""
         self._failed[address] = [*self._recent(address), _now_s()]
         self._failed.move_to_end(address)
-        while len(self._failed) > _ADDRESSES:
+        while len(self._failed) > FAILED_ADDRESSES:
             self._failed.popitem(last=False)
 
     def _recent(self, address: str) -> list[float]:
-        return [t for t in self._failed.get(address, ()) if t > _now_s() - _WITHIN_S]
+        return [t for t in self._failed.get(address, ()) if t > _now_s() - FAILURES_S]

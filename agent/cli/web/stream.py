@@ -10,18 +10,11 @@ from typing import Self
 
 from anyio.to_thread import run_sync
 
+from agent.cli.tuning import ALIVE_S, COARSE_NS, MOST_BEHIND, PAGE_INSTANTS, RECENT_CHANGES, STREAM_POLL_S
 from agent.clock import wall_ns
 from agent.errors import StoreError
 from agent.storage.database.files import beside
 from agent.storage.read.recent import Change, Cursor, changes, newest
-
-MOST_BEHIND = 20_000
-"""Instants that somebody may have missed and still get them one by one; of more the page is read anew."""
-_RECENT = 2000  # changes kept for those who follow
-_POLL_S = 0.2
-_ALIVE_S = 15.0
-_PAGE = 200
-_COARSE_NS = 100_000_000
 
 Stamp = tuple[int, ...]
 
@@ -64,7 +57,7 @@ def stamp(path: Path) -> Stamp:
 
 def is_settled(seen: Stamp) -> bool:
     """Tell whether any later commit changes a stamp: the log may keep its size, and file times are coarse."""
-    return wall_ns() - max(seen[2], seen[5]) > _COARSE_NS
+    return wall_ns() - max(seen[2], seen[5]) > COARSE_NS
 
 
 def _stat(path: Path) -> Stamp:
@@ -106,7 +99,7 @@ class _Tail:
         known = now if is_settled(now) else ()
         if now[0] != self.file:  # another file in its place, as after a repair
             return _Look(now[0], known, [], newest(self.path), anew=True)
-        return _Look(now[0], known, *changes(self.path, self.head, _PAGE))
+        return _Look(now[0], known, *changes(self.path, self.head, PAGE_INSTANTS))
 
     def take(self, look: "_Look") -> None:
         """Take in what was read; in the listeners' thread, so that none of them sees a part of it."""
@@ -120,7 +113,7 @@ class _Tail:
             self.seen = look.stamp
         self.head = look.head
         self.kept.extend(look.page)
-        while len(self.kept) > _RECENT:
+        while len(self.kept) > RECENT_CHANGES:
             self.start = _after(self.start, self.kept.popleft())
 
     def since(self, cursor: Cursor) -> list[Change] | None:
@@ -144,7 +137,7 @@ def _first_event(said: Position | None, now: Position) -> Event:
 
 async def _is_idle(changed: asyncio.Event, *, quiet: bool) -> bool:
     """Wait for news where there were none; tell whether none came."""
-    return quiet and not await _within(changed, _ALIVE_S)
+    return quiet and not await _within(changed, ALIVE_S)
 
 
 class Hub:
@@ -162,7 +155,7 @@ class Hub:
             if any(news):
                 self._changed.set()
                 self._changed = asyncio.Event()
-            await asyncio.sleep(0 if any(news) else _POLL_S)
+            await asyncio.sleep(0 if any(news) else STREAM_POLL_S)
 
     async def follow(self, said: Position | None) -> AsyncIterator[Event]:
         """Yield what is committed after a position, once and in order of each database and kind.
@@ -191,7 +184,7 @@ class Hub:
         kept = tail.since(cursor)
         if kept is None:
             try:
-                return await run_sync(changes, tail.path, cursor, _PAGE)
+                return await run_sync(changes, tail.path, cursor, PAGE_INSTANTS)
             except StoreError:
                 return [], cursor
         ahead = Cursor(max(cursor.alarms, tail.head.alarms), max(cursor.hops, tail.head.hops))

@@ -12,15 +12,14 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from agent.cli.glance.files import Watched
+from agent.cli.tuning import BODY_BYTES, NAME_LETTERS, SESSION_S
 from agent.cli.web.guard import document, of_error, refusal
 from agent.cli.web.operate import CAUSES, operate
 from agent.cli.web.secret import Secret
-from agent.cli.web.sessions import LIFE_S, Attempts, Session, Sessions
+from agent.cli.web.sessions import Attempts, Session, Sessions
 from agent.errors import AgentError
 
 COOKIE: Final = "deltak_session"
-_MOST_BYTES = 16384  # of a request's body
-_LONGEST_NAME = 64
 
 
 class _RefusedError(Exception):
@@ -77,7 +76,7 @@ class Writes:
         answer.set_cookie(
             COOKIE,
             value,
-            max_age=int(LIFE_S),
+            max_age=int(SESSION_S),
             httponly=True,
             samesite="strict",
             secure=request.url.scheme == "https",
@@ -142,8 +141,8 @@ async def _object(request: Request) -> Mapping[str, Any]:
     body = b""
     async for part in request.stream():
         body += part
-        if len(body) > _MOST_BYTES:
-            raise _RefusedError(413, "body", f"has more than {_MOST_BYTES} bytes", "send less")
+        if len(body) > BODY_BYTES:
+            raise _RefusedError(413, "body", f"has more than {BODY_BYTES} bytes", "send less")
     try:
         found = json.loads(body)
     except (ValueError, RecursionError) as error:
@@ -155,6 +154,6 @@ async def _object(request: Request) -> Mapping[str, Any]:
 
 def _name(asked: Mapping[str, Any]) -> str:
     name = asked.get("name")
-    if not isinstance(name, str) or not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
-        raise _RefusedError(400, "name", f"is no name of 1 to {_LONGEST_NAME} characters", "say who you are")
+    if not isinstance(name, str) or not name.strip() or len(name) > NAME_LETTERS or not name.isprintable():
+        raise _RefusedError(400, "name", f"is no name of 1 to {NAME_LETTERS} characters", "say who you are")
     return name.strip()

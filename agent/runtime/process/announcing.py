@@ -8,7 +8,8 @@ from agent.types import AlarmTransition
 
 log = logging.getLogger(__name__)
 _ALARM = 35
-"""Level of what is always shown, and shown as `alarm`."""
+"""Fixed by logging: a level above WARNING, 30, is always shown; shown as `alarm`: level of what is always
+shown, and shown as `alarm`."""
 logging.addLevelName(_ALARM, "ALARM")
 
 

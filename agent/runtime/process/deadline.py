@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 
-_ON_ITS_WAY_S = 0.5
+from agent.runtime.tuning import ON_ITS_WAY_S
 
 
 class OverdueError(BaseException):
@@ -57,7 +57,7 @@ class Deadline:
     def _leave(self) -> None:
         with self._lock:
             self._inside = None
-        until = time.monotonic() + _ON_ITS_WAY_S
+        until = time.monotonic() + ON_ITS_WAY_S
         while self._raised and time.monotonic() < until:  # it must not come where nothing expects it
             time.sleep(0.001)
 

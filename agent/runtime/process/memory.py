@@ -3,10 +3,10 @@
 import ctypes
 import gc
 
+from agent.runtime.tuning import LARGE_BYTES
+
 TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8
-"""Parameters of mallopt(3), by its numbers in malloc.h."""
-LARGE_BYTES = 128 * 1024
-"""glibc's own first threshold, raised to 32 MB once a large array was freed; a heap then keeps its peaks."""
+"""Fixed by malloc.h: parameters of mallopt(3), by its numbers in malloc.h."""
 
 
 def keep_heap_small() -> None:

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-_LOOK_S = 0.05
+from agent.runtime.tuning import OPENING_LOOK_S
 
 
 class Started(Protocol):
@@ -39,7 +39,7 @@ class Opening(threading.Thread):
 
     def done(self, ended: Callable[[], bool]) -> bool:
         """Wait until all are started; False if the agent `ended` before. Raises what starting one raised."""
-        while not self._over.wait(_LOOK_S):
+        while not self._over.wait(OPENING_LOOK_S):
             if ended():
                 return False
         if self._error is not None:

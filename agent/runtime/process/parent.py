@@ -5,7 +5,7 @@ import os
 import signal
 from typing import Final
 
-_PR_SET_PDEATHSIG: Final = 1
+_PR_SET_PDEATHSIG: Final = 1  # fixed by linux/prctl.h
 
 
 def end_with_parent(parent: int) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from agent.clock import monotonic_ns
 from agent.runtime.process.heartbeats import Heartbeats, Thread
 from agent.runtime.process.service_manager import ServiceManager
+from agent.runtime.tuning import LOOKS_AN_INTERVAL
 
 THREADS = Path("/proc/self/task")
 
@@ -48,9 +49,6 @@ class ProcessorWait:
                     found[thread.name] = int(ran), int(waited)
         return found
 
-
-LOOKS_AN_INTERVAL = 4
-"""Threads are looked at this often at least in an interval of the watchdog."""
 
 log = logging.getLogger(__name__)
 

@@ -10,9 +10,8 @@ from agent.config import RigConfig
 from agent.runtime.reestimation.parts import Part
 from agent.runtime.replay import Kept, Known, forecasts, known, writer_of
 from agent.runtime.results import RunSummary
+from agent.runtime.tuning import WRITER_STOP_S
 from agent.storage.write.writer import StoreWriter
-
-_STOP_S = 600.0
 
 
 class Databases:
@@ -48,12 +47,12 @@ class Databases:
         """Close the file that is this rig's alone. Raises StoreError where it could not be written."""
         writer = self._writers.pop(rig.rig.name, None)
         if writer is not None:
-            writer.stop(_STOP_S)
+            writer.stop(WRITER_STOP_S)
 
     def close(self) -> None:
         """Write what waits and close all. Raises StoreError where one could not be written."""
         while self._writers:
-            self._writers.popitem()[1].stop(_STOP_S)
+            self._writers.popitem()[1].stop(WRITER_STOP_S)
 
 
 def _is_folder(place: str) -> bool:

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 from agent import __version__
 from agent.errors import UsageError
 from agent.runtime.process.parent import end_with_parent
+from agent.runtime.tuning import SCHEDULER_S
 
 if TYPE_CHECKING:
     from distributed import Client
 
-_PATIENCE_S = 30.0
-"""How long a scheduler may take to answer, and to have a worker."""
 Compute = Callable[..., Any]
 
 
@@ -99,7 +98,7 @@ class DaskPool:
 
     def _check(self, address: str) -> None:
         try:
-            self._client.wait_for_workers(1, timeout=_PATIENCE_S)
+            self._client.wait_for_workers(1, timeout=SCHEDULER_S)
             versions = self._client.run(_version)
         except TimeoutError as error:
             raise _unusable(
@@ -144,7 +143,7 @@ def _client(address: str) -> "Client":
     from distributed import Client
 
     try:
-        return Client(address, timeout=_PATIENCE_S, set_as_default=False)
+        return Client(address, timeout=SCHEDULER_S, set_as_default=False)
     except (OSError, TimeoutError) as error:
         raise _unusable(address, "no scheduler answers", "see that it runs, and its address") from error
 

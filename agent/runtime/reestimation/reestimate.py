@@ -9,7 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from agent.clock import wall_ns
 from agent.errors import AgentError, Fault, RecordingError, UsageError
@@ -17,10 +17,9 @@ from agent.runtime.reestimation.archive import Recorded, configured, gathered
 from agent.runtime.reestimation.keeping import Databases, Merge
 from agent.runtime.reestimation.parts import First, Part, computed
 from agent.runtime.reestimation.pools import Pool, pool_of
+from agent.runtime.tuning import MOST_TRIES
+from agent.units import HOUR_NS
 
-HOUR_NS: Final = 3_600_000_000_000
-MOST_TRIES: Final = 3
-"""Processes that may die over one part: the third time it is the part that ends them."""
 Progress = Callable[[str], None]
 
 log = logging.getLogger(__name__)

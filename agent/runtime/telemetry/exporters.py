@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from agent.config import Metrics, RigConfig
+from agent.runtime.tuning import TEXTFILE_S
 from agent.storage.database.files import opened
 
 Document = Callable[[], Mapping[str, Any]]
-TEXTFILE_S = 15.0
-"""From one writing of the file to the next: as often as Prometheus asks by default."""
 
 log = logging.getLogger(__name__)
 

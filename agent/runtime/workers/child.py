@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from agent.config import RigConfig
 from agent.records import Baseline
@@ -20,6 +20,7 @@ from agent.runtime.exchange import Prepared
 from agent.runtime.process.memory import keep_heap_small
 from agent.runtime.process.service_manager import ServiceManager
 from agent.runtime.service import Service
+from agent.runtime.tuning import ORPHAN_S
 from agent.runtime.workers.link import Link
 from agent.runtime.workers.orders import (
     BASELINES,
@@ -38,9 +39,6 @@ from agent.runtime.workers.orders import (
 )
 from agent.runtime.workers.piped import piped_writers
 from agent.types import AlarmTransition
-
-_ORPHAN_S: Final = 5.0
-"""How long a worker whose agent ended may take to end."""
 
 log = logging.getLogger(__name__)
 
@@ -164,7 +162,7 @@ class Child:
 
     def _orphaned(self) -> None:
         """End soon: nobody writes any more what is computed."""
-        timer = threading.Timer(_ORPHAN_S, os._exit, (1,))
+        timer = threading.Timer(ORPHAN_S, os._exit, (1,))
         timer.daemon = True
         timer.start()
         self._stop()
@@ -191,7 +189,7 @@ def main() -> None:
     keep_heap_small()
     child = Child(Connection(int(sys.argv[1])))
     code = child.run()
-    child.link.drain(_ORPHAN_S)
+    child.link.drain(ORPHAN_S)
     os._exit(code)  # what is still under way is of no use to anybody
 
 

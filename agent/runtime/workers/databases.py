@@ -4,21 +4,20 @@ import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import TypeVar
 
 from agent.config import RigConfig
 from agent.errors import AgentError, StoreError
 from agent.records import Baseline
 from agent.runtime.process.databases import density_of, path_of, runs_of, writer_of
 from agent.runtime.rig_set import RigSet
+from agent.runtime.tuning import AGAIN_S
 from agent.runtime.workers.losses import Losses, batches_of
 from agent.runtime.workers.piped import Batch, Facts, Runs
 from agent.storage.tables.notifications import nobody
 from agent.storage.write.writer import StoreWriter
 from agent.types import AlarmTransition
 
-_AGAIN_S: Final = 1.0
-"""Until runs are begun again that a failing disk does not let begin."""
 Found = TypeVar("Found")
 log = logging.getLogger(__name__)
 
@@ -81,7 +80,7 @@ class WorkersDatabases:
                     # while a reload is refused for it, a worker that was started anew waits for the disk
                     if self._is_reloading() or self.ending:
                         raise
-                if self._stopped.wait(_AGAIN_S):
+                if self._stopped.wait(AGAIN_S):
                     raise AgentError.at(runs.path, "the agent is ending")
 
     def _begun(self, runs: Runs) -> Facts:

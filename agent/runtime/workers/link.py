@@ -15,12 +15,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from multiprocessing.connection import Connection
-from typing import Any, Final
+from typing import Any
 
 from agent.errors import AgentError
-
-_MOST_SPARE: Final = 1000
-"""Messages that wait; what can be spared is not sent where more do."""
+from agent.runtime.tuning import MOST_SPARE
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +91,7 @@ class Link:
 
     def tell(self, what: str, given: Any = None, *, spare: bool = False) -> None:
         """Say something; never waits. spare: it need not arrive where much else waits to be sent."""
-        if not (spare and len(self._waiting) > _MOST_SPARE):
+        if not (spare and len(self._waiting) > MOST_SPARE):
             self.post(lambda: Tell(what, given))
 
     def post(self, make: Callable[[], Message | None]) -> None:

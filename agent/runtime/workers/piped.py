@@ -5,11 +5,11 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 from agent.config import RigConfig
 from agent.records import Baseline, CovariateMean, Record, RunInfo
 from agent.runtime.process.databases import RunKind, path_of, runs_of
+from agent.runtime.tuning import MOST_CELLS
 from agent.runtime.workers.link import Link, Tell
 from agent.storage.tables.alarms import AlarmRow
 from agent.storage.tables.notifications import Route
@@ -20,8 +20,6 @@ from agent.types import AlarmTransition, Learnt
 
 RECORDS, BEGIN, LEFT = "records", "begin", "left"
 """Records to be stored; runs to be begun, in the place of others; runs that ended."""
-_MOST_CELLS: Final = 200_000
-"""Rows that wait for the agent at most, a database: as many as wait for a disk."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,7 @@ class PipedWriter:
         self._link, self._path = link, path
         self._runs = tuple(runs)
         self._lock = threading.Lock()
-        self._backlog = Backlog(_MOST_CELLS)
+        self._backlog = Backlog(MOST_CELLS)
         self._reported: Counter[str] = Counter()
         self._posted = False
         self.on_alarm: Callable[[AlarmTransition], None] = lambda _: None

@@ -9,11 +9,11 @@ from typing import Any
 
 from agent.clock import monotonic_ns, wall_ns
 from agent.config import RigConfig
-from agent.runtime.limits import END_S, PAUSE_NS, RELOAD_S, SILENCE_S
 from agent.runtime.process.databases import RunKind, path_of
 from agent.runtime.process.heartbeats import Thread
 from agent.runtime.results import RunSummary
 from agent.runtime.service import Reread, Service
+from agent.runtime.tuning import END_S, PAUSE_NS, RELOAD_S, SILENCE_S
 from agent.runtime.workers.databases import WorkersDatabases
 from agent.runtime.workers.losses import Losses
 from agent.runtime.workers.orders import BASELINES, COMMANDED, FORGET, PREPARE, TAKE_UP, Order

@@ -17,6 +17,7 @@ from agent.clock import monotonic_ns
 from agent.config import RigConfig
 from agent.runtime.process.heartbeats import Thread
 from agent.runtime.results import RunSummary
+from agent.runtime.tuning import MORE_EXPENDABLE
 from agent.runtime.workers.link import Link
 from agent.runtime.workers.orders import BEAT, DONE, LOG, MAKE, RUN, STOP, Beat, Order
 from agent.runtime.workers.piped import BEGIN, LEFT, RECORDS
@@ -24,8 +25,6 @@ from agent.runtime.workers.piped import BEGIN, LEFT, RECORDS
 _OWN: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 """Variables of the environment that are the agent's alone."""
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-_MORE_EXPENDABLE: Final = 200
-"""Added to a worker's score for Linux's out-of-memory killer: it goes before the agent."""
 
 Acts = Mapping[str, Callable[[Any], Any]]
 
@@ -186,5 +185,5 @@ def _process(handle: int) -> "subprocess.Popen[bytes]":
                                stdout=subprocess.DEVNULL)  # fmt: skip
     with suppress(OSError):
         score = Path(f"/proc/{process.pid}/oom_score_adj")
-        score.write_text(str(min(1000, int(score.read_text()) + _MORE_EXPENDABLE)))
+        score.write_text(str(min(1000, int(score.read_text()) + MORE_EXPENDABLE)))
     return process

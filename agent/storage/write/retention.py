@@ -12,24 +12,13 @@ from dataclasses import dataclass
 from math import ceil, isfinite
 from typing import NamedTuple, Protocol
 
+from agent.storage import tuning
 from agent.storage.database.checksum import row_crc, with_crc
 from agent.storage.database.columns import COLUMN_BITS, TABLES, columns_of
 from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.tables.ages import Part, parts_of, shifts
 from agent.storage.tables.covariates import thin
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tuning import (
-    CELL_BYTES,
-    COVARIATE_BYTES,
-    FREE_PAGES,
-    GROWING_PARTS,
-    HEALTH_BYTES,
-    HOP_BYTES,
-    HOPS_A_PURGE,
-    KEPT_RECORDS,
-    SPREAD_BYTES,
-    YEAR_S,
-)
 from agent.storage.write.consumers.unsent import acknowledged, count_unsent
 from agent.storage.write.rollups import add_groups, aggregate
 from agent.units import HOUR_S, MINUTE_S, SECOND_NS
@@ -41,7 +30,7 @@ _OVER = {"events": "", "hypotheses": "", "forecasts": "", "trends": "", "conditi
 """What of a table may go: an alarm that stands and a record whose file is there stay, however old."""
 
 
-def surplus(connection: sqlite3.Connection, kept: int = KEPT_RECORDS) -> dict[str, list[int]]:
+def surplus(connection: sqlite3.Connection, kept: int = tuning.KEPT_RECORDS) -> dict[str, list[int]]:
     """Return the numbers of what `purge_logs` would delete, by the topic of consumers that it is of."""
     events, alarms = (_OLD.format(table=table) + _OVER[table] for table in ("events", "alarms"))
     queries = {
@@ -51,7 +40,7 @@ def surplus(connection: sqlite3.Connection, kept: int = KEPT_RECORDS) -> dict[st
     return {topic: [seq for (seq,) in connection.execute(query, (kept,))] for topic, query in queries.items()}
 
 
-def purge_logs(connection: sqlite3.Connection, kept: int = KEPT_RECORDS) -> None:
+def purge_logs(connection: sqlite3.Connection, kept: int = tuning.KEPT_RECORDS) -> None:
     """Delete the oldest rows of what happened beyond a number; inside a transaction."""
     for table, over in _OVER.items():
         condition = _OLD.format(table=table) + over
@@ -103,14 +92,14 @@ def bytes_per_rig_year(
     """
     period = max(every_s, hop_s)
     rows = [
-        min(max(keep.full_s, HOUR_S), YEAR_S) / period,
-        min(keep.minute_s, YEAR_S) / MINUTE_S,
-        min(keep.hour_s, YEAR_S) / HOUR_S,
+        min(max(keep.full_s, HOUR_S), tuning.YEAR_S) / period,
+        min(keep.minute_s, tuning.YEAR_S) / MINUTE_S,
+        min(keep.hour_s, tuning.YEAR_S) / HOUR_S,
     ]
-    coarse = HOP_BYTES + parameters * (CELL_BYTES + SPREAD_BYTES)
-    sizes = [HOP_BYTES + parameters * windows * CELL_BYTES, coarse, coarse]
-    health = sources * (min(keep.full_s, YEAR_S) / 10 + YEAR_S / HOUR_S) * HEALTH_BYTES
-    beside = covariates * (rows[1] + rows[2]) * COVARIATE_BYTES
+    coarse = tuning.HOP_BYTES + parameters * (tuning.CELL_BYTES + tuning.SPREAD_BYTES)
+    sizes = [tuning.HOP_BYTES + parameters * windows * tuning.CELL_BYTES, coarse, coarse]
+    health = sources * (min(keep.full_s, tuning.YEAR_S) / 10 + tuning.YEAR_S / HOUR_S) * tuning.HEALTH_BYTES
+    beside = covariates * (rows[1] + rows[2]) * tuning.COVARIATE_BYTES
     year = health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True))
     return ceil(max(HOUR_S / period * sizes[0], min(keep.max_bytes, year)))
 
@@ -170,7 +159,7 @@ class TierKeeper:
         """Take up the part of a run that grows from now on; those that grew long before do not any more."""
         self._parts[run_id] = [*(p for p in self._parts.get(run_id, ()) if p != part), part]
         self._runs[part] = self._progress(part, growing=True)
-        for old in self._parts[run_id][:-GROWING_PARTS]:
+        for old in self._parts[run_id][: -tuning.GROWING_PARTS]:
             self._parts[run_id].remove(old)
             self._runs[old].growing = False
 
@@ -295,7 +284,7 @@ class TierKeeper:
 
     def make_room(self) -> None:
         """Drop the oldest hour of rows unless the file has free pages already; for a full disk."""
-        if self._store.connection.execute("PRAGMA freelist_count").fetchone()[0] > FREE_PAGES:
+        if self._store.connection.execute("PRAGMA freelist_count").fetchone()[0] > tuning.FREE_PAGES:
             return
         victim = self._oldest_anywhere()
         if victim is not None:
@@ -330,7 +319,7 @@ class TierKeeper:
             "SELECT seq, t_ns FROM hops WHERE run_id = ? AND span = ? AND t_ns < ? AND seq <= ? "
             "ORDER BY t_ns LIMIT ?"
         )
-        parts = (run_id, span, before, sent, HOPS_A_PURGE)
+        parts = (run_id, span, before, sent, tuning.HOPS_A_PURGE)
         found = self._store.connection.execute(query, parts).fetchall()
         if not found:
             return False
@@ -349,7 +338,7 @@ class TierKeeper:
             self._store.count("purged unsent", unsent)
         if span == 0:
             count_unsent(self._store.connection, "estimates", hops, self._store.count, COLUMN_BITS)
-        return len(found) == HOPS_A_PURGE
+        return len(found) == tuning.HOPS_A_PURGE
 
     def _note_purge(self, connection: sqlite3.Connection, run_id: int, span: int, reached: int) -> None:
         """Record from where a tier still stands, for the views, and how far numbers were given out."""

@@ -13,14 +13,9 @@ import pytest
 
 from agent.cli.operator.alarms import ALARM_COLUMNS, alarms, statistics
 from agent.cli.prognosis.trend import trend
-from agent.cli.tables.queries import (
-    ESTIMATE_COLUMNS,
-    TABLE_ROWS,
-    VERDICT_COLUMNS,
-    estimates,
-    verdicts,
-)
+from agent.cli.tables.queries import ESTIMATE_COLUMNS, VERDICT_COLUMNS, estimates, verdicts
 from agent.cli.terminal.errors import faults_of
+from agent.cli.tuning import TABLE_ROWS
 from agent.errors import UsageError
 from agent.records import RunInfo
 from agent.storage.read import queries

@@ -8,8 +8,9 @@ import numpy as np
 
 from agent.commissioning.tuning import LEVELS
 from agent.config import RigConfig
-from agent.numerics.fitting.channel_constants import STILL
-from agent.numerics.preprocessing.noise import ROUND_OFF, sensor_noise
+from agent.numerics.fitting.tuning import STILL
+from agent.numerics.preprocessing.noise import sensor_noise
+from agent.numerics.preprocessing.tuning import ROUND_OFF
 from agent.runtime.assembly.acquisition_plan import channels_of
 from agent.text import number
 from agent.types import FloatArray

@@ -12,8 +12,8 @@ from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning import tuning
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
-from agent.numerics.fitting.fit import GREATEST
 from agent.numerics.fitting.information import PredictedSd, predicted_sd
+from agent.numerics.fitting.tuning import GREATEST
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, discretise, simulate

@@ -65,7 +65,7 @@ KEPT_RECORDS = 100_000
 FREE_PAGES = 128  # pages of the file that are free: with more a full disk costs no rows
 GROWING_PARTS = 3  # parts of a run that rows may still come for
 HOPS_A_PURGE = 10_000  # rows that are deleted in one transaction: new ones come between two
-YEAR_S = 365 * 86400  # s; a tier kept longer counts for so long in what the file may need
+TIER_S = 365 * 86400  # s; a tier kept longer counts for so long in what the file may need
 HOP_BYTES, CELL_BYTES, SPREAD_BYTES, HEALTH_BYTES, COVARIATE_BYTES = 47.0, 47.0, 38.0, 60.0, 77.0
 """Bytes that a row of each table takes in the file, as measured."""
 LEAST_SD = 1e-150  # a noise-free replay may claim an sd of zero, whose weight would be infinite

@@ -8,16 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.numerics.reference.covariates.dependence import (
-    STEPS_A_SPREAD,
-    Dependence,
-    read,
-    remark,
-    shift,
-    stepped,
-    widened,
-)
+from agent.numerics.reference.covariates.dependence import Dependence, read, remark, shift, stepped, widened
 from agent.numerics.reference.covariates.lags import PERIOD_S, LagFilter, newest_period
+from agent.numerics.reference.tuning import STEPS_A_SPREAD
 from agent.records import Baseline, HealthEvent
 from agent.types import EstimateBatch
 

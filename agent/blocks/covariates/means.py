@@ -7,9 +7,10 @@ import numpy as np
 
 from agent.blocks.tuning import MEMORY_PERIODS
 from agent.config.sections.covariates import Covariate
-from agent.numerics.reference.covariates.lags import CLOSED, PERIOD_NS
+from agent.numerics.reference.tuning import CLOSED
 from agent.records import CovariateMean
 from agent.types import FloatArray, IntArray
+from agent.units import MINUTE_NS
 
 
 @dataclass(slots=True)
@@ -39,14 +40,14 @@ class CovariateMeans:
         for mean in means:
             table = self.known.get(mean.name)
             if table is not None and mean.unit == self._covariates[mean.name].unit:
-                first = mean.t_ns // PERIOD_NS
+                first = mean.t_ns // MINUTE_NS
                 table.update(
-                    dict.fromkeys(range(first, first + mean.span_s * 10**9 // PERIOD_NS), mean.value)
+                    dict.fromkeys(range(first, first + mean.span_s * 10**9 // MINUTE_NS), mean.value)
                 )
 
     def take(self, t_ns: IntArray, readings: Mapping[str, FloatArray]) -> None:
         """Take readings (n,) of covariates at instants t_ns (n,); NaN where there is none."""
-        periods = t_ns // PERIOD_NS
+        periods = t_ns // MINUTE_NS
         for name, raw in readings.items():
             one = self._covariates[name]
             value = raw * one.scale + one.offset
@@ -82,11 +83,11 @@ class CovariateMeans:
         ended = sorted(number for number in table if number <= period)
         unit = self._covariates[name].unit
         sums = [(number, table.pop(number)) for number in ended]
-        return [CovariateMean(self._rig, name, unit, n * PERIOD_NS, s.total / s.n, s.n) for n, s in sums]
+        return [CovariateMean(self._rig, name, unit, n * MINUTE_NS, s.total / s.n, s.n) for n, s in sums]
 
     def step(self, t_ns: int) -> list[CovariateMean]:
         """Return the means that rows at an instant rest on, once each."""
-        return self.close(t_ns // PERIOD_NS - CLOSED)
+        return self.close(t_ns // MINUTE_NS - CLOSED)
 
     def finish(self) -> list[CovariateMean]:
         """Return the means of all periods that have readings."""

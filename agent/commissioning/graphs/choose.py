@@ -33,7 +33,8 @@ from agent.commissioning.tuning import GRAPH_ROUNDS, LEAST_WINDOWS, LISTED_GRAPH
 from agent.config import MechanicsModel, RigConfig, load
 from agent.errors import Fault, ModelError, RecordingError, UsageError
 from agent.numerics.identification.pooled import costs_of
-from agent.numerics.identification.selection import TIE, Choice, Selector
+from agent.numerics.identification.selection import Choice, Selector
+from agent.numerics.identification.tuning import TIE
 from agent.runtime.assembly.model_check import model_faults
 
 Begin = Callable[[RigConfig, Sequence[Recorded]], RigConfig]

@@ -16,17 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.excitation.tuning import CHECK, GAP, LITTLE, ROUNDS
 from agent.numerics.model.statespace import Discrete
 from agent.types import ComplexArray, FloatArray
-
-ROUNDS = 20_000
-"""Steps of the algorithm at most; it gains about a third of the gap each time the steps are doubled."""
-GAP = 2e-4
-"""Share by which d may exceed q: by this share of the power at the most the same could be had for less."""
-CHECK = 50
-"""Steps from one look at the gap to the next."""
-LITTLE = 1e-5, 1e-6, 0.0
-"""Shares of the greatest power below which a line is left out; the next one where that costs too much."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,8 @@ and Renneboog 1988, IEEE Trans. Instrumentation and Measurement 37:145).
 
 import numpy as np
 
+from agent.numerics.excitation.tuning import CLIPPED, PASSES
 from agent.types import FloatArray, IntArray
-
-PASSES = 300
-CLIPPED = 0.85, 0.98
-"""Share of the peak at which is clipped, in the first round and the last."""
 
 
 def multisine(power: FloatArray, line: IntArray, count: int) -> FloatArray:

@@ -10,24 +10,13 @@ from scipy.interpolate import CubicSpline
 
 from agent.numerics.fitting.fit import FittedModel, fit_window
 from agent.numerics.fitting.skew import Group, SkewMeter
+from agent.numerics.fitting.tuning import FITS, LEAST_SHARE, MARGIN, NEAR, STILL, WIDE
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import FloatArray
 
 Kind = Literal["offset", "scale", "delay"]
-TINY = 1e-3
-"""Of an output's rms: smaller differences are nobody's fault."""
-WIDE = 50.0
-"""Log likelihood by which a constant must beat the readings as they are."""
-STILL = 5.0
-"""An output that does not rise over so many times its noise tells nothing."""
-FITS = 1.5
-"""Times the noise that a scale or a delay may leave: one that leaves more may as well be something else."""
-NEAR = 1.1
-"""Constants that leave no more than this many times what the best one leaves cannot be told from it."""
-MARGIN = 50
-"""Samples at either end that delays are looked for within."""
 SMALLEST = {"offset": 0.0, "scale": log(1.03), "delay": 0.25}
 """Least size worth a word: any offset, 3 % (three times the data sheet's sd), a quarter of a sample."""
 
@@ -78,7 +67,7 @@ class ChannelConstants:
             except (ValueError, np.linalg.LinAlgError):
                 return np.nan, ()
         before = float(np.exp(np.mean(np.log(np.maximum(plain[0], 1e-12)))))
-        fits = np.maximum(FITS * noise / rms, TINY)
+        fits = np.maximum(FITS * noise / rms, LEAST_SHARE)
         if np.all(plain[0] <= fits):
             return before, ()
         tried = [one for one in self._each(v) if one.kind == "offset" or np.all(one.share <= fits)]
@@ -134,7 +123,7 @@ class ChannelConstants:
     def _noise(self, y: FloatArray) -> FloatArray:
         """(p,) what residuals are weighed by: no output more than a thousand times its size."""
         rms = np.sqrt(np.mean(y**2, axis=0))
-        return np.asarray(np.maximum(sensor_noise(y), TINY * rms + 1e-300))
+        return np.asarray(np.maximum(sensor_noise(y), LEAST_SHARE * rms + 1e-300))
 
     def _free(
         self, kind: Literal["bias", "gain"], v: FloatArray, channel: int

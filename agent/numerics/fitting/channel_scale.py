@@ -2,11 +2,9 @@
 
 import numpy as np
 
+from agent.numerics.fitting.tuning import LEAST_SCALE, MOST_SCALE
 from agent.numerics.model.statespace import Discrete, simulate
 from agent.types import FloatArray
-
-LEAST, MOST = 1e-9, 1e9
-"""Factors beyond these are no channel's scale."""
 
 
 def factor_of_output(sampled: Discrete, y: FloatArray, u: FloatArray, output: int) -> float | None:
@@ -31,7 +29,7 @@ def _factor(sampled: Discrete, y: FloatArray, target: FloatArray, column: FloatA
     design = np.concatenate([_free(sampled, len(y)), column[:, :, None]], axis=2) * weight[:, None]
     found = np.linalg.lstsq(design.reshape(-1, design.shape[2]), (target * weight).ravel(), rcond=1e-10)[0]
     gain = abs(float(found[-1]))
-    return 1.0 / gain if LEAST < gain < MOST else None
+    return 1.0 / gain if LEAST_SCALE < gain < MOST_SCALE else None
 
 
 def _forced(sampled: Discrete, u: FloatArray) -> FloatArray:

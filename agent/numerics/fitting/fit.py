@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.numerics.fitting.tuning import FARTHEST, GREATEST, HALVINGS, PUSHED_STEPS
 from agent.numerics.fitting.work import WORK
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import Bins
@@ -18,15 +19,6 @@ from agent.numerics.inference.spectral.response import Response
 from agent.numerics.model.statespace import Hold, Model
 from agent.numerics.model.uncertain import Rig, sampled
 from agent.types import ComplexArray, FloatArray, IntArray
-
-GREATEST = 1e60
-"""What a motion may grow to within a window."""
-HALVINGS = 8
-"""Most times that a step is halved until it leaves less."""
-PUSHED_STEPS = 6
-"""Most steps with unknown forces: they only bring the parameters near."""
-FARTHEST = 0.5
-"""Longest step downwards, as a share of the parameter; upwards twice that."""
 
 
 @dataclass(frozen=True)

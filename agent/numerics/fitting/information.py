@@ -9,14 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.fitting.tuning import SINGULAR
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import scales
 from agent.numerics.model.statespace import Discrete
 from agent.numerics.model.uncertain import Constant, Rig, Sampled, sampled
 from agent.types import FloatArray
-
-SINGULAR = 1e-14
-"""Smallest eigenvalue of an information matrix of unit diagonal that still says something, of its largest."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,18 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.numerics.fitting.fit import FittedModel, fit_window
+from agent.numerics.fitting.tuning import CLOSE, DELAY_SCALE_S, MOST_FITS, MOTION_SEEN
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import Model, StateSpace
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import FloatArray
-
-MOST_FITS = 8
-"""Fits at most; a delay of a third of the fastest period needs five."""
-DELAY_SCALE_S = 0.01
-MOTION_SEEN = 30.0
-"""Times what chance explains by the unknowns: a stretch that the model explains no better tells no delay."""
-CLOSE = 0.05
-"""Of its sd: a delay that moved by less is found."""
 
 
 class Group(NamedTuple):

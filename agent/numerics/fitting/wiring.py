@@ -15,28 +15,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fitting.channel_constants import STILL
 from agent.numerics.fitting.channel_scale import factor_of_input, factor_of_output
 from agent.numerics.fitting.fit import FittedModel, fit_window
+from agent.numerics.fitting.tuning import BETTER, EXPLAINED, FACTORS, FITS, LEAST_SHARE, NEAR, STILL, WORTH
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import discretise
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import FloatArray
 
-FACTORS = (2.0, 10.0, 100.0, 1000.0, 1e6, 25.4, 39.3700787, 9.80665, 4.4482216)
-"""How many times too large or small a reading may be: twice, prefixes, inches, kilogram- and pound-force."""
-BETTER = 2.0
-"""A hypothesis must leave less than this part of what the readings as they are leave, over all outputs."""
-NEAR = 1.1
-"""Explanations that leave no more than this many times what the best one leaves cannot be told from it."""
-WORTH = 3.0
-"""Explanations that leave over this many times what the best leaves of a stretch are not tried further."""
-EXPLAINED = 0.5
-"""Share of an output that an explanation may leave at most."""
-FITS = 1.5
-"""Times its noise: readings that leave no more are explained as they are."""
-LEAST_SHARE = 1e-3
-"""Of an output's rms: smaller differences are nobody's fault."""
 REACH = log(4.0)
 """Logarithm of the factor by which wrong parameters may mislead the search for a scale."""
 

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-EVALUATION = 1500
-"""What one evaluation of a window costs at any length (gain, lifted filters), in samples of normal work."""
+from agent.numerics.fitting.tuning import EVALUATION
 
 
 @dataclass(slots=True)

@@ -15,23 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.excitation.design import responses
-from agent.numerics.identification.response import ALIKE
+from agent.numerics.identification import tuning
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.statespace import Discrete, Hold, discretise
 from agent.types import BoolArray, ComplexArray, FloatArray
-
-LONGEST, MOST_PIECES = 16_384, 6
-"""Samples of a piece and number of pieces at most: the start of an estimate needs no more."""
-MOST_KEPT = 1200
-FIRST_STEPS, FINALISTS = 5, 2
-"""Steps after which the starts are compared, and how many of them go on."""
-MOST_ROUNDS, RESTS_SHARE, HOPELESS = 20, 1e-2, 1e6
-NEIGHBOURS = 15
-NEAR = 2.0
-"""Logarithm of the errors' power by which another minimum may leave more: masses a few percent off leave as
-much of the right one."""
-STRETCH, VAGUE = 0.7, 3.0
-"""Logarithms: by how much a step changes a parameter at most, and how well it is known before (an sd)."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +57,13 @@ def refined(
 
     Bins are those below `fastest`, rad/s.
     """
-    longest = sorted(pieces, key=lambda piece: -len(piece[0]))[:MOST_PIECES]
-    chosen = [_piece(y[:LONGEST], u[:LONGEST], period_s, sigma, fastest) for y, u in longest]
+    longest = sorted(pieces, key=lambda piece: -len(piece[0]))[: tuning.MOST_PIECES]
+    chosen = [_piece(y[: tuning.LONGEST], u[: tuning.LONGEST], period_s, sigma, fastest) for y, u in longest]
     fitting = _Fitting(model, chosen, period_s, hold)
-    nearer = sorted((fitting.fitted(np.log(theta), FIRST_STEPS) for theta in starts), key=lambda way: way[0])
-    ways = [fitting.fitted(phi, MOST_ROUNDS) for _, phi in nearer[:FINALISTS]]
+    nearer = sorted(
+        (fitting.fitted(np.log(theta), tuning.FIRST_STEPS) for theta in starts), key=lambda way: way[0]
+    )
+    ways = [fitting.fitted(phi, tuning.MOST_ROUNDS) for _, phi in nearer[: tuning.FINALISTS]]
     count = sum(piece.Y.size for piece in chosen)
     return [Minimum(cost / count, np.exp(phi)) for cost, phi in sorted(ways, key=lambda way: way[0])]
 
@@ -85,15 +74,15 @@ def others_near(minima: Sequence[Minimum], telling: BoolArray) -> list[Minimum]:
     return [
         found
         for found in minima[1:]
-        if found.cost < first.cost + NEAR
-        and np.abs(np.log(found.theta / first.theta))[telling].max(initial=0.0) > ALIKE
+        if found.cost < first.cost + tuning.NEAR
+        and np.abs(np.log(found.theta / first.theta))[telling].max(initial=0.0) > tuning.ALIKE
     ]
 
 
 def _piece(y: FloatArray, u: FloatArray, period_s: float, sigma: FloatArray, fastest: float) -> _Piece:
     omega = 2 * np.pi * np.fft.rfftfreq(len(y), period_s)
     last = int(np.searchsorted(omega, min(fastest, 0.9 * omega[-1])))
-    kept = slice(1, last, -(-last // MOST_KEPT))  # a constant is an offset, and what rests on it
+    kept = slice(1, last, -(-last // tuning.MOST_KEPT))  # a constant is an offset, and what rests on it
     Y, U = np.fft.rfft(y, axis=0)[kept], np.fft.rfft(u, axis=0)[kept]
     return _Piece(np.asarray(omega[kept], dtype=float), Y, U, np.sqrt(len(y)) * sigma)
 
@@ -115,22 +104,22 @@ class _Fitting:
         for _ in range(steps):
             diagonal = np.diag(fit.A)
             step = np.linalg.solve(fit.A + np.diag(damping * diagonal + 1e-9 * diagonal.max()), fit.g)
-            step = np.clip(step, -STRETCH, STRETCH)
+            step = np.clip(step, -tuning.STRETCH, tuning.STRETCH)
             tried = self._at(phi - step, begun)
             better = tried.cost < fit.cost
             damping = damping / 5 if better else damping * 8
             if better:
                 phi, fit = phi - step, tried
-            if damping > HOPELESS or (better and np.abs(step).max() < RESTS_SHARE):
+            if damping > tuning.HOPELESS or (better and np.abs(step).max() < tuning.RESTS_SHARE):
                 break
         return fit.cost, phi
 
     def _at(self, phi: FloatArray, begun: FloatArray) -> _Fit:
         discrete = discretise(self.model.continuous(np.exp(phi)), self.period_s, self.hold)
         q = len(phi)
-        off = (phi - begun) / VAGUE**2
+        off = (phi - begun) / tuning.VAGUE**2
         # what no bin shows stays where it began, not at nothing or beyond all bounds
-        A = np.eye(q) / VAGUE**2
+        A = np.eye(q) / tuning.VAGUE**2
         g = off
         cost = float(off @ (phi - begun))
         for piece in self.pieces:
@@ -177,6 +166,6 @@ def _real(columns: ComplexArray) -> FloatArray:
 
 def _smoothed(power: FloatArray) -> FloatArray:
     """Return powers (F, p) averaged over neighbours."""
-    half = NEIGHBOURS // 2
+    half = tuning.NEIGHBOURS // 2
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
     return np.array([np.convolve(np.pad(row, half, mode="edge"), kernel, "valid") for row in power.T]).T

@@ -11,19 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.numerics.identification.tuning import BRIEF, BRIEF_SHARE, FROM, SEARCHED, TAUGHT
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.columns import Window
 from agent.types import FloatArray
 
-TAUGHT = 3
-"""Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
-BRIEF, BRIEF_SHARE = 512, 0.1
-"""Samples at least, and share of a window (a period of the slowest mode), of the first look."""
-FROM = 2
-"""Windows from which that is done: one alone may rest in most of its parts, and is learnt from as a whole."""
-SEARCHED = 3
-"""Windows behind a noise whose sources are not sought on all of their grids any more."""
 Progress = Callable[[str], None]
 
 

@@ -16,11 +16,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.identification.tuning import FASTEST
 from agent.types import FloatArray
 
 ComplexArray = NDArray[np.complex128]
-FASTEST = 0.7
-"""Of half the sample rate: beyond it what a force does between samples shows in other bins."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.numerics.identification import tuning
 from agent.numerics.identification.first_noise import Progress, first_noise
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
@@ -23,20 +24,6 @@ from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.model.uncertain import Rig
 from agent.types import BoolArray, FloatArray
-
-FARTHEST = 10.0
-"""Standard deviations of its data sheet that a constant may move: beyond, the graph does not fit."""
-MOST_STEPS, RESTS_SD = 16, 0.05
-"""Points that are looked at, and the step in standard deviations at which they end."""
-NEAR_SD = 0.5
-"""The step in standard deviations that may be left when the points are over: it widens the interval. Where
-determinants move the likelihood's top from where the sum rests, or a valley of what nothing tells is curved,
-0.1 to 0.45 are left beside the truth; 0.9 and more were left elsewhere."""
-WORSE, PATIENCE = 1.0, 3
-"""Log likelihood, over the scatter, by which a point may be worse (determinants vary by as much), and steps
-after which one of them has to be better."""
-HELD = 1e12
-"""Prior precision, in relative units, of what stays at its point while likelihoods are compared."""
 
 
 @dataclass
@@ -145,7 +132,7 @@ def _descended(learner: Learner, windows: Sequence[Window], known: Knowledge, pr
     progress(f"joining {len(windows)} windows, step 1")
     found = best_found = _Sum.of(learner, windows, known)
     share, tried = 1.0, 0
-    for number in range(1, MOST_STEPS):
+    for number in range(1, tuning.MOST_STEPS):
         if not tried and not found.restless.any():
             break
         progress(f"joining {len(windows)} windows, step {number + 1}")
@@ -154,9 +141,9 @@ def _descended(learner: Learner, windows: Sequence[Window], known: Knowledge, pr
         )
         found = _Sum.of(learner, windows, point)
         tried += 1
-        if found.log_likelihood > best_found.log_likelihood - WORSE * best_found.scatter:
+        if found.log_likelihood > best_found.log_likelihood - tuning.WORSE * best_found.scatter:
             best, best_found, share, tried = point, found, 1.0, 0
-        elif tried == PATIENCE:
+        elif tried == tuning.PATIENCE:
             point, found, share, tried = best, best_found, 0.5 * share, 0
     if best_found.restless.any():
         return best_found.said(best, best_found.step)
@@ -166,7 +153,7 @@ def _descended(learner: Learner, windows: Sequence[Window], known: Knowledge, pr
 
 def _moved(rig: Rig, known: Knowledge, step: FloatArray) -> Knowledge:
     """Return the point a step (q + c,) away, within what parameters and constants may be."""
-    farthest = FARTHEST * np.array([constant.sheet for constant in rig.constants])
+    farthest = tuning.FARTHEST * np.array([constant.sheet for constant in rig.constants])
     eta = np.clip(known.eta + step[rig.q :], -farthest, farthest)
     return replace(known, theta=np.maximum(known.theta + step[: rig.q], rig.lower), eta=eta)
 
@@ -175,7 +162,7 @@ def _log_likelihood(learner: Learner, known: Knowledge, at: Linearised) -> float
     """Return the log likelihood of the point in a window linearised there: initial states are free."""
     R = at.ridge.R.copy()
     for held in (at.regression.layout.psi, at.regression.layout.xi):
-        R[held, held] = HELD * np.eye(held.stop - held.start)
+        R[held, held] = tuning.HELD * np.eye(held.stop - held.start)
     ridge = Ridge(R, np.zeros_like(R[0]))
     return NoiseFit(known.noise, at.cells, at.regression, learner.sources, ridge).restricted_log_likelihood()
 
@@ -240,7 +227,7 @@ class _Sum:
     @property
     def restless(self) -> BoolArray:
         """(q,) parameters that the step moves by much."""
-        return self._steps_beyond(RESTS_SD)
+        return self._steps_beyond(tuning.RESTS_SD)
 
     def _steps_beyond(self, sds: float) -> BoolArray:
         q = len(self.unit)
@@ -267,5 +254,5 @@ class _Sum:
         return Pooled(
             known.theta, np.abs(self.unit) * sd, np.abs(self.unit) * np.sqrt(np.diag(own)),
             whole / np.outer(sd, sd),
-            known.eta, self.scatter, self._steps_beyond(NEAR_SD), known,
+            known.eta, self.scatter, self._steps_beyond(tuning.NEAR_SD), known,
         )  # fmt: skip

@@ -15,26 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.identification import tuning
 from agent.numerics.identification.modulation import Modulation, held
 from agent.numerics.model.mechanics import GROUND, Element, MassSpringDamper
 from agent.types import BoolArray, FloatArray
 
 ComplexArray = NDArray[np.complex128]
-PARTS, SHORTEST = 4, 64
-"""Lengths into which a record is cut, and the samples of a stretch at least."""
-SMOOTH = 2
-"""Order of the window: its sides fall off faster than a resonance does."""
-MOST_BINS = 300
-ROUGH, CERTAIN = 0.1, 0.5
-"""Relative errors of a response: what short stretches smear at least, and beyond which a bin says nothing."""
-GUESSES, ROUNDS_OF_A_GUESS, SEED = 32, 30, 17
-FIRST_ROUNDS, FOLLOWED = 10, 12
-"""Rounds after which guesses are compared, and how many go on: what is far behind by then stays so."""
-DAMPED, VAGUE = 0.05, 3.0
-"""Damping ratio of a guess, and the sd of logarithms about them: what no bin shows stays among these."""
-MOST_MINIMA, ALIKE = 6, 0.2
-"""Minima that are looked at closely, and the logarithm by which parameters of one differ at most:
-damping is seen less well, and tells no two apart."""
 KINDS = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
@@ -54,10 +40,10 @@ def measured(
 
     Raises ValueError where no piece is long enough.
     """
-    length = max(len(y) for y, _ in pieces) // PARTS
-    if length < SHORTEST:
+    length = max(len(y) for y, _ in pieces) // tuning.PARTS
+    if length < tuning.SHORTEST_STRETCH:
         raise ValueError("no piece is long enough")
-    modulation = Modulation(length, period_s, SMOOTH)
+    modulation = Modulation(length, period_s, tuning.SMOOTH)
     p = len(sigma)
     found = np.array([
         modulation.transforms(np.hstack([y[a : a + length], u[a : a + length]]))[0]
@@ -76,7 +62,7 @@ def measured(
         np.maximum(_smoothed(left), white)[:, :, None] * np.abs(np.einsum("fii->fi", inverse))[:, None]
     )
     relative = error / np.maximum(np.abs(H), 1e-300)
-    weight = np.where(_certain(H, error, relative), 1.0 / np.hypot(relative, ROUGH), 0.0)
+    weight = np.where(_certain(H, error, relative), 1.0 / np.hypot(relative, tuning.ROUGH), 0.0)
     weight[:2] = 0.0
     return _thinned(Responses(modulation.omega, H, weight))
 
@@ -89,7 +75,7 @@ def _certain(H: ComplexArray, error: FloatArray, relative: FloatArray) -> BoolAr
     around = [
         _smoothed(power.reshape(len(power), -1)).reshape(power.shape) for power in (np.abs(H) ** 2, error**2)
     ]
-    return np.asarray((relative < CERTAIN) & (around[1] < CERTAIN**2 * around[0]))
+    return np.asarray((relative < tuning.CERTAIN) & (around[1] < tuning.CERTAIN**2 * around[0]))
 
 
 def _smoothed(power: FloatArray) -> FloatArray:
@@ -100,7 +86,7 @@ def _smoothed(power: FloatArray) -> FloatArray:
 
 def _thinned(at: Responses) -> Responses:
     kept = np.flatnonzero(at.weight.any(axis=(1, 2)))
-    kept = kept[:: -(-len(kept) // MOST_BINS)] if len(kept) else kept
+    kept = kept[:: -(-len(kept) // tuning.MOST_BINS)] if len(kept) else kept
     return Responses(at.omega[kept], at.H[kept], at.weight[kept])
 
 
@@ -160,9 +146,9 @@ def fitted(model: MassSpringDamper, seen: Responses) -> list[FloatArray]:
     seen, middle = _connected(graph, seen, phi), phi.mean(axis=0)
     cost, J, r = _errors(graph, seen, phi, middle)
     damping = np.full(len(phi), 1e-2)
-    for turn in range(ROUNDS_OF_A_GUESS):
-        if turn == FIRST_ROUNDS:
-            best = np.argsort(cost)[:FOLLOWED]
+    for turn in range(tuning.ROUNDS_OF_A_GUESS):
+        if turn == tuning.FIRST_ROUNDS:
+            best = np.argsort(cost)[: tuning.FOLLOWED]
             phi, cost, J, r, damping = phi[best], cost[best], J[best], r[best], damping[best]
         A, g = np.einsum("sqn,skn->sqk", J, J), np.einsum("sqn,sn->sq", J, r)
         diagonal = np.einsum("sqq->sq", A)
@@ -184,8 +170,8 @@ def _apart(phi: FloatArray, telling: BoolArray) -> list[FloatArray]:
     """Return parameters of rows (S, q) of logarithms that differ in what is telling (q,), the first few."""
     kept: list[FloatArray] = []
     for row in phi:
-        if len(kept) < MOST_MINIMA and all(
-            np.abs(row - other)[telling].max(initial=0.0) > ALIKE for other in kept
+        if len(kept) < tuning.MOST_MINIMA and all(
+            np.abs(row - other)[telling].max(initial=0.0) > tuning.ALIKE for other in kept
         ):
             kept.append(row)
     return [np.exp(row) for row in kept]
@@ -211,21 +197,21 @@ def _errors(
     w = seen.weight[used]
     e = w * np.log(H[:, used] / seen.H[used])
     D = w * (theta[:, None, :, None, None] * dH).swapaxes(1, 2)[:, :, used] / H[:, None, used]
-    r = np.concatenate([e.real, e.imag, (phi - middle) / VAGUE], axis=1)
-    known = np.broadcast_to(np.eye(phi.shape[1]) / VAGUE, (len(phi), *2 * phi.shape[1:]))
+    r = np.concatenate([e.real, e.imag, (phi - middle) / tuning.VAGUE], axis=1)
+    known = np.broadcast_to(np.eye(phi.shape[1]) / tuning.VAGUE, (len(phi), *2 * phi.shape[1:]))
     return np.sum(r**2, axis=1), np.concatenate([D.real, D.imag, known], axis=2), r
 
 
 def _guesses(model: MassSpringDamper, graph: Graph, seen: Responses) -> FloatArray:
     """Return logarithms (S, q): springs that move the lighter of their ends at a frequency of the band."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(tuning.SEED)
     speed = np.abs(seen.H / graph.rises[:, :, None] * graph.iw[:, None, None]) ** 2
     share = np.cumsum(np.sum(speed / np.maximum(speed.sum(axis=0), 1e-300), axis=(1, 2)))
     low, high = (float(seen.omega[np.searchsorted(share, part * share[-1])]) for part in (0.05, 0.95))
-    w = np.exp(rng.uniform(np.log(0.7 * low), np.log(1.5 * high), (GUESSES, len(graph.names))))
+    w = np.exp(rng.uniform(np.log(0.7 * low), np.log(1.5 * high), (tuning.GUESSES, len(graph.names))))
     mass = np.array([m.value for m in model.structure.masses])
     typical = float(np.median(mass[mass > 0])) if (mass > 0).any() else 1.0
     lightest = np.array([min((m for m in mass[way != 0] if m > 0), default=typical) for way in graph.ways])
-    size = np.array([lightest * w**2, 2 * DAMPED * lightest * w, np.broadcast_to(typical, w.shape)])
+    size = np.array([lightest * w**2, 2 * tuning.DAMPED * lightest * w, np.broadcast_to(typical, w.shape)])
     rows = np.take_along_axis(size, np.broadcast_to(graph.order, (1, *w.shape)), axis=0)
     return np.asarray(np.log(rows[0]))

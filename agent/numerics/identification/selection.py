@@ -14,14 +14,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from agent.numerics.identification.pooled import Costs
+from agent.numerics.identification.tuning import LEVEL, RIDGE
 from agent.types import BoolArray, FloatArray
-
-LEVEL = 0.02
-"""Chance that any element that is not there is taken for one that is."""
-RIDGE = 1e-12
-"""Of what is known of a parameter: what no window shows would have no answer without."""
-TIE = 2.0
-"""Difference of scores, natural logarithms, below which two graphs are close: odds of seven to one."""
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.numerics.identification.tuning import RESTS, ROUNDS, SCALES, SHORTEST_STRETCH, STILL
 from agent.numerics.identification.weak_form import Equations, Sensing, Spectra, spectra, usable_nodes
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.types import FloatArray
 
 ComplexArray = NDArray[np.complex128]
-SHORTEST = 64
-"""Samples of a stretch below which there is nothing to transform."""
-SCALES = (1, 2, 4, 8)
-"""Into how many lengths a record is cut; stretches overlap by half."""
-ROUNDS, RESTS = 20, 1e-4
-"""Most rounds, and the change, as a share, below which they end."""
-STILL = 1.5
-"""Variance of a motion, in that of its sensors' noise, below which nothing moves."""
 
 
 def hidden(model: MassSpringDamper) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -77,7 +70,7 @@ def _joined(
 def _stretches(samples: int, scales: Sequence[int]) -> Iterator[slice]:
     """Yield stretches, half overlapping, of so many samples divided by each scale; none that is too short."""
     lengths = [samples // scale for scale in scales]
-    for length in (length for length in lengths if length >= SHORTEST):
+    for length in (length for length in lengths if length >= SHORTEST_STRETCH):
         for first in range(0, samples - length + 1, max(1, length // 2)):
             yield slice(first, first + length)
 

@@ -13,17 +13,10 @@ import numpy as np
 from scipy.linalg import matrix_balance, qr
 
 from agent.numerics.model.statespace import Model, StateSpace, modes
+from agent.numerics.model.tuning import ANGLE, HALF_RATE, SILENT, TOLERANCE
 from agent.types import ComplexArray, FloatArray
 
-TOLERANCE = 1e-7
-"""Singular values of the Jacobian with columns of length 1 below this share of the largest count as zero."""
-SILENT = 1e-11
-"""A column shorter than this share of what its factors could give is no trace but round-off."""
-ANGLE = 1.0
-"""Of the ray on which s lies, rad: between the real axis (nothing oscillates) and the imaginary (poles)."""
-HALF_RATE = 2.5
-"""The farthest point of a model in discrete time, rad a sample: below half the sampling rate, pi."""
-TINY = 1e-300
+TINY = 1e-300  # fixed by double precision: what is less may not divide
 
 
 @dataclass(frozen=True, slots=True)

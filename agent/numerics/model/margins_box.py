@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 
 from agent.numerics.model.statespace import Model
+from agent.numerics.model.tuning import MOST_PARAMETERS
 from agent.types import FloatArray
-
-MOST_PARAMETERS = 8
-"""The polytopic margin has 2^q vertices, each of them a matrix inequality."""
 
 
 class DesignToolsMissingError(RuntimeError):

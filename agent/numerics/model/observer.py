@@ -10,14 +10,9 @@ import numpy as np
 
 from agent.numerics.model.riccati import spectral_radius, state_units, steady_covariance
 from agent.numerics.model.statespace import Discrete, StateSpace
+from agent.numerics.model.tuning import BISECTIONS, STRIDE, STRONGEST, WEAKEST
 from agent.types import FloatArray
 
-STRICTLY_STABLE = 1.0 - 1e-6
-"""Largest pole radius with which an observer may run on without correction (gain zero)."""
-WEAKEST, STRONGEST, STRIDE = -8.0, 8.0, 2.0
-"""Decades of the intensity searched, about that of which the readings show 1 in units of their noise."""
-BISECTIONS = 7
-"""Of a stride: the intensity is found to 4 %."""
 NO_GAIN = "no stabilising observer gain: the outputs do not show a mode that does not decay"
 
 

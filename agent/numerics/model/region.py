@@ -14,19 +14,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from agent.numerics.model.statespace import Model, StateSpace
+from agent.numerics.model.tuning import FLIPPED, INSIDE, MOST_VERTICES, OFFSET, SEED, STARTS
 from agent.types import FloatArray
-
-MOST_VERTICES = 256
-"""Vertices that are all tried; of more parameters than these allow, as many drawn at random."""
-FLIPPED = 6
-"""Of those drawn so many, the worst, are improved."""
-INSIDE = 32
-"""Points inside the box that are tried."""
-STARTS = 2
-"""Of the worst points so many are searched from."""
-OFFSET = 1e-3
-"""How far inwards from a vertex a measure is looked at, in halves of the box."""
-SEED = 19
 
 Measure = Callable[[FloatArray], float]
 

@@ -16,18 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.model.tuning import LOOKS, MOST_STEPS, REMEMBERED, SETTLED, UNSHOWN
 from agent.types import FloatArray
-
-MOST_STEPS = 60
-"""Doublings: 2^60 samples are more than any rig will see."""
-SETTLED = 1e-14
-"""Relative change of the covariance at which it has settled."""
-LOOKS = 6
-"""Doublings over which the readings show the states: 64 samples."""
-UNSHOWN = 1e-12
-"""A correlated predictor's state that readings show below this share of the best: rounding shows no less."""
-REMEMBERED = 1e-7
-"""A predictor whose slowest pole is nearer than this to the unit circle never forgets its start."""
 
 
 class NoSteadyStateError(ArithmeticError):

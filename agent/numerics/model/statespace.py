@@ -11,13 +11,10 @@ from typing import Literal, Protocol
 import numpy as np
 from scipy.linalg import expm
 
+from agent.numerics.model.tuning import BLOCK, GONE
 from agent.types import ComplexArray, FloatArray
 
 Hold = Literal["first", "zero", "euler", "cubic", "quintic"]
-BLOCK = 32
-"""Samples that are simulated by one product."""
-GONE = 1e-12
-"""A pole in discrete time of less than this leaves nothing of a motion after a sample."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,17 +23,8 @@ import numpy as np
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.numerics.model.observer import start_gain, unobservable_states
 from agent.numerics.model.statespace import Discrete, Hold, StateSpace, discretise
+from agent.numerics.model.tuning import DEVIATIONS, FASTEST, REST, SLOWEST, SPEED, STILL
 from agent.types import FloatArray
-
-SPEED = 50.0
-"""Slowest pole of the observer, 1/s: with 100 the noise of a 0.1 mm sensor at 1 kHz reverses the velocity."""
-SLOWEST, FASTEST = 0.02, 0.3
-"""Least and most that the slowest pole may forget in one sample, whatever the rate."""
-DEVIATIONS, REST = 3.0, 2.0
-"""A velocity that stays within so many deviations of its noise for REST over SPEED rests, and where friction
-takes less than that in a sample, no share of it can be told: it is 0."""
-STILL = 1e-9
-"""A velocity below this share of what friction takes away in a sample is none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from agent.types import BoolArray, FloatArray, IntArray
 
 Kind = Literal["mass", "output", "input", "delay"]
 CURVED = 2
-"""Number of the constant that says how smooth inputs are between samples."""
+"""Fixed by the list of constants: number of the constant that says how smooth inputs are between samples."""
 
 
 @dataclass(frozen=True, slots=True)

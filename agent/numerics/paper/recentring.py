@@ -20,11 +20,8 @@ import numpy as np
 from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.paper.seed import observe
-from agent.numerics.paper.seed_window import SLOWEST
+from agent.numerics.paper.tuning import DEPENDENT, SLOWEST
 from agent.types import ComplexArray, FloatArray
-
-DEPENDENT = 1e-2
-"""Least singular value of the combinations, each of length 1, below which they count as dependent."""
 
 
 @dataclass(frozen=True, slots=True)

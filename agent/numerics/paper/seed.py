@@ -22,10 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.model.statespace import StateSpace
+from agent.numerics.paper.tuning import RANK_TOLERANCE
 from agent.types import FloatArray
-
-RANK_TOLERANCE = 1e-12
-"""Directions of a batch with less than this share of the strongest count as empty."""
 
 
 @dataclass(frozen=True, slots=True)

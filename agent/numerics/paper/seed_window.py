@@ -31,15 +31,9 @@ from agent.numerics.paper.seed import (
     state_batch,
     structured,
 )
+from agent.numerics.paper.tuning import DEVIATIONS, ENOUGH, RUN_AWAY, SLOWEST
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status, WindowConditions
-
-RUN_AWAY = 1e60
-"""States of an observer that is not stable any more, small enough for their squares to be figures."""
-ENOUGH, DEVIATIONS = 0.01, 3.0
-"""Share of a parameter's size, and times its sd, that passes may have still to go; it is added to the sd."""
-SLOWEST = 0.98
-"""Ratio of two steps beyond which the rest of the series is taken for 50 steps: it may as well not end."""
 
 
 @dataclass(frozen=True, slots=True)

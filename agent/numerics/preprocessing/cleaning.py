@@ -15,39 +15,25 @@ from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.bridge import filled, lagrange, runs
 from agent.numerics.preprocessing.rows import columns_with, largest_in, rows_with
+from agent.numerics.preprocessing.tuning import (
+    BLOCK,
+    CLEAR,
+    CONTEXT,
+    CROWD,
+    CROWDED,
+    DOUBTFUL,
+    EXCESS,
+    EXCESS_OF_INPUTS,
+    LONGEST_SPIKE,
+    MEMORY,
+    NEAR,
+    STEPS,
+    THIN,
+    WILD,
+)
 from agent.types import BoolArray, FloatArray
 
-LONGEST_SPIKE = 3
-"""Readings of the longest spike."""
 LOOK_AHEAD = LONGEST_SPIKE + 2
-NEAR = 8
-"""Readings before the doubtful one that it is held against."""
-BLOCK = 128
-"""Samples over which the usual size of a second difference is taken ..."""
-THIN = 4
-"""... of every fourth of them: the median is the dearest part of all this."""
-MEMORY = 4
-"""Blocks back: the greatest of their sizes counts, so that motion that has just begun is usual soon."""
-EXCESS = 10.0
-"""A second difference this many times the usual one is in doubt."""
-CLEAR = 4.0
-"""A spike stands out this many times more than its two sides differ from each other."""
-DOUBTFUL = 1.5
-"""An input that stands out so many times more is in doubt: whether it was a spike, the motion decides."""
-EXCESS_OF_INPUTS = 6.0
-"""The same for EXCESS."""
-CROWD = 32
-"""Samples before a suspect input in which ..."""
-CROWDED = 12
-"""... no more second differences than two spikes leave may be in doubt: else that is how the signal is."""
-WILD = 1e5
-"""An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever
-the motion says: no sensor resolves that much, and sums of its square would leave no digit for those that
-come after."""
-CONTEXT = 64
-"""Samples that are kept as they came, against which the next ones are tested."""
-STEPS = 4.0
-"""Nothing below this many steps of the wire is in doubt."""
 
 
 @dataclass(frozen=True, slots=True)

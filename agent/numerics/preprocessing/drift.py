@@ -11,18 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.numerics.preprocessing.tuning import BIN_S, BINS, CAUTION, LEAST_BINS, LONGEST_S, SPREAD_S
 from agent.types import FloatArray
-
-BINS = 256
-"""Stretches of time of which the most punctual arrival is kept; when there are more, neighbours are joined,
-and from stretches of `LONGEST_S` on the oldest are forgotten: over hours a crystal follows the weather."""
-BIN_S = 0.25
-LONGEST_S = 4.0
-LEAST_BINS = 8
-SPREAD_S = 1e-4
-"""Least scatter that is assumed of the most punctual arrivals: what an operating system's timer leaves."""
-CAUTION = 1.6
-"""An edge of a hull scatters more than a line through all points; measured, see the test of the interval."""
 
 
 class Line(NamedTuple):

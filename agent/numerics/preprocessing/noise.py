@@ -4,9 +4,6 @@ import numpy as np
 
 from agent.types import FloatArray
 
-ROUND_OFF = 1e-10
-"""Share of a signal's peak below which differences are the computer's own."""
-
 
 def sensor_noise(y: FloatArray) -> FloatArray:
     """Return the noise sd (p,) that fourth differences of y (N, p) show: motion is smooth over 5 samples."""

@@ -14,34 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.numerics.preprocessing import tuning
 from agent.numerics.preprocessing.bridge import runs
 from agent.types import BoolArray, FloatArray
 
-PLATEAU = 4
-"""Equal readings that may be a clipped peak ..."""
-OVERSHOOT = 16.0
-"""... if the motion before would have gone so many steps (or noise) further: a rounded peak goes about 4."""
-SURE = 2 * OVERSHOOT
+SURE = 2 * tuning.OVERSHOOT
 """The same where no second such peak is waited for: healthy 16-bit channels reached 25 in 1.5 hours."""
-BRAKED_OVER = 3
-"""Samples before the last whole step into a top over which its braking is told."""
-BRAKING = 3.5
-"""Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more.
-Constant braking makes 1.5 to 2, up to 3 where it begins only then; braking that fades makes 1 to 2 until its
-steps are ..."""
-CREEP = 3.0
-"""... those of the wire, of which it then makes no more than so many a sample."""
-ENTRY = PLATEAU + BRAKED_OVER + 1
+ENTRY = tuning.PLATEAU + tuning.BRAKED_OVER + 1
 """Readings before a block that a top in it may begin with, and those that tell how fast it was entered."""
-REST = 0.5
-"""An input that is at one value for so much of the time rests there."""
-
-ALIKE = 0.8
-"""Share of a flat top's value from which on readings have its step, where steps grow with values. Of the few
-nearer ones the divisor is often a multiple of the step, and clips are missed."""
-
-ROUNDING = 1e-9
-"""Share of a reading up to which differences are rounding: 30 bits, more than a sensor has."""
 
 
 class Top(NamedTuple):
@@ -92,7 +72,7 @@ class Rails:
             return False
         at = self._value[:, channel] == value
         share = (self._there[at, channel] / np.maximum(self._since[at, channel], 1.0)).max(initial=0.0)
-        return bool(abs(value) <= 0.5 * grain or share >= REST)
+        return bool(abs(value) <= 0.5 * grain or share >= tuning.REST)
 
     def stopped(self, channel: int, x: FloatArray, ends: tuple[float, float], grain: float) -> bool:
         """Tell whether readings x, `ENTRY` of them before the block, run into the end of a channel's range.
@@ -124,7 +104,9 @@ class Rails:
         """Tell whether readings stay at an end that is known: it need not be run into."""
         rail = float(self._value[side, channel])
         is_known = self._times[side, channel] > 1 and not self.rests(channel, rail, grain)
-        return bool(is_known) and any(stop - start >= PLATEAU for start, stop in runs(np.asarray(x == rail)))
+        return bool(is_known) and any(
+            stop - start >= tuning.PLATEAU for start, stop in runs(np.asarray(x == rail))
+        )
 
 
 def tops(x: FloatArray, grain: float) -> list[Top]:
@@ -135,13 +117,13 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
     found = []
     for start, stop in runs(np.asarray(np.diff(x) == 0)):
         count = stop - start + 1
-        if count < PLATEAU or start < BRAKED_OVER + 2 or start + PLATEAU <= ENTRY:
+        if count < tuning.PLATEAU or start < tuning.BRAKED_OVER + 2 or start + tuning.PLATEAU <= ENTRY:
             continue
         side = int(x[start] > x[start - 1])
         near = np.abs(x - x[start]) <= abs(x[start] - x[start - 2])
-        here = max(grain, resolution(x[near | (x * x[start] >= ALIKE * x[start] ** 2)]))
-        speed = unbraked((1 if side else -1) * np.diff(x[start - BRAKED_OVER - 2 : start]), here)
-        if speed * count > OVERSHOOT * here:
+        here = max(grain, resolution(x[near | (x * x[start] >= tuning.ALIKE * x[start] ** 2)]))
+        speed = unbraked((1 if side else -1) * np.diff(x[start - tuning.BRAKED_OVER - 2 : start]), here)
+        if speed * count > tuning.OVERSHOOT * here:
             found.append(Top(side, float(x[start]), float(speed * count / here)))
     return found
 
@@ -153,7 +135,7 @@ def resolution(x: FloatArray) -> float:
     anywhere is a tenth or a hundredth of the one at an extreme. 0.0 where no two readings differ.
     """
     apart = np.diff(np.unique(x))
-    rounding = ROUNDING * float(np.abs(x).max(initial=0.0))
+    rounding = tuning.ROUNDING * float(np.abs(x).max(initial=0.0))
     apart = apart[apart > rounding]
     divisor = 0.0
     while len(apart):  # Euclid's algorithm
@@ -167,5 +149,5 @@ def unbraked(steps: FloatArray, grain: float) -> float:
     """Return the speed, a sample, of the last step towards a top where no braking explains it; else 0.0."""
     last = float(steps[-1])
     lost = (steps[-2::-1] - last) / np.arange(1, len(steps))  # braking may have begun with any of them
-    explained = last <= BRAKING * max(float(lost.max()), 0.0) + CREEP * grain
+    explained = last <= tuning.BRAKING * max(float(lost.max()), 0.0) + tuning.CREEP * grain
     return 0.0 if explained else last

@@ -7,12 +7,12 @@ micrometre.
 
 import numpy as np
 
+from agent.numerics.preprocessing.tuning import ON_A_SAMPLE
 from agent.types import FloatArray, IntArray
 
 BEFORE, AFTER = 1, 2
-"""Readings that are needed before and after the one at or before a place between samples."""
-ON_A_SAMPLE = 1e-6
-"""Of a sample: a place this near to a reading is that reading."""
+"""Fixed by cubic interpolation: readings that are needed before and after the one at or before a place
+between samples."""
 
 
 def split(place: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -12,13 +12,12 @@ from typing import Literal
 import numpy as np
 
 from agent.numerics.preprocessing.rails import ENTRY as RAIL_ENTRY
-from agent.numerics.preprocessing.rails import OVERSHOOT, PLATEAU, Rails
+from agent.numerics.preprocessing.rails import Rails
 from agent.numerics.preprocessing.standing import Standing
+from agent.numerics.preprocessing.tuning import ENTRY, OVERSHOOT, PLATEAU
 from agent.types import BoolArray, FloatArray, IntArray
 
 Kind = Literal["stuck", "saturated"]
-ENTRY = 16
-"""Samples before a standstill over which the speed is taken with which it was entered."""
 
 
 @dataclass(frozen=True, slots=True)

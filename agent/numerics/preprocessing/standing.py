@@ -8,34 +8,8 @@ less than one, and such a channel is never called stuck.
 
 import numpy as np
 
+from agent.numerics.preprocessing import tuning
 from agent.types import BoolArray, FloatArray, IntArray
-
-SMOOTH = 20.0
-"""A range this many times the noise is motion whatever the channel did before."""
-LIVELY = 0.3
-"""A range of this share of the channel's usual one is motion too."""
-MOVES = 8.0
-"""Nothing below this many steps of the wire is motion."""
-SHORTEST = 24
-"""Samples that a channel must stand still, while others move, at least."""
-PATIENT, LONGEST = 3, 4
-"""It must stand still so many times longer than in health; longer than so many windows is not counted so."""
-FADE = 0.995
-"""What is left of a channel's usual range after a block in which something moved."""
-ABRUPT = 32.0
-"""Steps that it must have missed to be no turning point, which misses eight to eighteen."""
-CHUNK = 64
-"""Blocks: how far a channel went is remembered over one to two times so many."""
-FURTHER = 6.0
-"""The share of their way that others must have gone, times the root of the channel's own steps ..."""
-WIDE = 0.7
-"""... where that is no more than this share; else they must have gone half of their way ..."""
-TRIPS, MORE = 4, 1.5
-"""... so often, without going so many times further than before; ..."""
-FEWEST = 24.0
-"""... and a channel of fewer steps tells nothing."""
-APART = 20.0
-"""A channel that never moved is missed where one of its kind went over so many of its steps."""
 
 
 class Standing:
@@ -76,12 +50,12 @@ class Standing:
         size = high - low
         stirred = np.any(self._smooth(size, noise, step), axis=1)
         after = np.cumsum(stirred[::-1])[::-1] - stirred
-        faded = (size * FADE ** after[:, None]).max(axis=0)
-        self._usual = np.maximum(self._usual * FADE ** int(stirred.sum()), faded)
+        faded = (size * tuning.FADE ** after[:, None]).max(axis=0)
+        self._usual = np.maximum(self._usual * tuning.FADE ** int(stirred.sum()), faded)
         self._low, self._high = low[-1], high[-1]
         start = 0
         while start < len(low):
-            stop = min(start + CHUNK - self._blocks % CHUNK, len(low))
+            stop = min(start + tuning.CHUNK - self._blocks % tuning.CHUNK, len(low))
             self._remember(low[start:stop].min(axis=0), high[start:stop].max(axis=0), stop - start)
             start = stop
 
@@ -94,8 +68,8 @@ class Standing:
         """
         size = high - low
         smooth = self._smooth(size, noise, step)
-        known = self._usual > MOVES * step
-        lively = (size > MOVES * step) & (size > LIVELY * self._usual) & known
+        known = self._usual > tuning.MOVES * step
+        lively = (size > tuning.MOVES * step) & (size > tuning.LIVELY * self._usual) & known
         run_low = np.minimum(self._low, low)
         run_high = np.maximum(self._high, high)
         still = (run_high - run_low <= 1.01 * step) & ~self._inputs
@@ -104,26 +78,26 @@ class Standing:
         least = self._least(step, known)
         enough = self._others_went(step)
         ended = ~still & (self.still > 0)
-        learnt = np.minimum(np.minimum(self.still, least), LONGEST * self._window)
+        learnt = np.minimum(np.minimum(self.still, least), tuning.LONGEST * self._window)
         self._longest = np.where(ended, np.maximum(self._longest, learnt), self._longest)
         self._low, self._high = np.where(still, run_low, low), np.where(still, run_high, high)
         # one that never moved is tested on motion beyond doubt only
         moving = smooth | lively
         others = np.where(known, moving.sum() - moving, smooth.sum() - smooth) > 0
         self.still = np.where(still, self.still + self._block * others, 0.0)
-        self._usual = np.maximum(self._usual * (FADE if smooth.any() else 1.0), size)
+        self._usual = np.maximum(self._usual * (tuning.FADE if smooth.any() else 1.0), size)
         self._remember(np.where(still, np.inf, low), np.where(still, -np.inf, high), 1)
         self._called = still & (self._called | ((self.still >= least) & enough))
         return self._called
 
     def _smooth(self, size: FloatArray, noise: FloatArray, step: FloatArray) -> BoolArray:
-        return np.asarray(size > np.maximum(MOVES * step, SMOOTH * noise))
+        return np.asarray(size > np.maximum(tuning.MOVES * step, tuning.SMOOTH * noise))
 
     def _remember(self, low: FloatArray, high: FloatArray, blocks: int) -> None:
         self._chunks[0, 1] = np.minimum(self._chunks[0, 1], low)
         self._chunks[1, 1] = np.maximum(self._chunks[1, 1], high)
         self._blocks += blocks
-        if self._blocks % CHUNK == 0:
+        if self._blocks % tuning.CHUNK == 0:
             moved = self.still == 0
             self._chunks[:, 0, moved] = self._chunks[:, 1, moved]
             self._chunks[0, 1, moved], self._chunks[1, 1, moved] = np.inf, -np.inf
@@ -151,7 +125,7 @@ class Standing:
         self._trips += gone
         # one that goes ever further has not gone back and forth
         range_ = self._since[1] - self._since[0]
-        further = range_ > MORE * self._course
+        further = range_ > tuning.MORE * self._course
         self._trips[further], self._course[further] = 0, range_[further]
         gone |= further
         self._leg[:, gone] = np.stack(
@@ -160,20 +134,22 @@ class Standing:
 
     def _least(self, step: FloatArray, known: BoolArray) -> FloatArray:
         """(c,) samples of standstill that are too many, others having moved."""
-        soon = np.maximum(max(SHORTEST, self._window / 4), PATIENT * self._longest)
-        abrupt = self._speed * self.still >= ABRUPT * step
+        soon = np.maximum(max(tuning.SHORTEST, self._window / 4), tuning.PATIENT * self._longest)
+        abrupt = self._speed * self.still >= tuning.ABRUPT * step
         return np.where(known & abrupt, np.minimum(soon, self._window), np.maximum(soon, self._window))
 
     def _others_went(self, step: FloatArray) -> BoolArray:
         """(c,) some other channel went so far that each one, if sound, would have moved."""
         range_ = self._since[1] - self._since[0]
-        share = FURTHER / np.sqrt(np.maximum(self._steps, 1e-9))
-        by_range = (share[:, None] <= WIDE) & (range_ >= share[:, None] * self._way)
-        often = self._trips >= TRIPS
-        by_trips = often & (self._steps[:, None] >= FEWEST)
+        share = tuning.FURTHER / np.sqrt(np.maximum(self._steps, 1e-9))
+        by_range = (share[:, None] <= tuning.WIDE) & (range_ >= share[:, None] * self._way)
+        often = self._trips >= tuning.TRIPS
+        by_trips = often & (self._steps[:, None] >= tuning.FEWEST)
         # where nothing is known of a channel, one of its kind must have gone far in its steps; without, back
         # and forth
         counted = self._alike & (step > 0)[:, None]
-        never = (self._steps <= 1.01)[:, None] & np.where(counted, range_ >= APART * step[:, None], often)
+        never = (self._steps <= 1.01)[:, None] & np.where(
+            counted, range_ >= tuning.APART * step[:, None], often
+        )
         went = never | ((by_range | by_trips) & (self._way > 0))
         return np.asarray((went & self._others).any(axis=1))

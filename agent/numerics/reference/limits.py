@@ -15,17 +15,11 @@ from math import exp, inf, log, pi, sqrt
 from scipy.optimize import brentq
 from scipy.special import chdtri, ndtri
 
-YEAR_S = 365.25 * 86_400.0
+from agent.numerics.reference.tuning import FOUND, MARGIN, SURE, WORTH
+from agent.units import YEAR_S
+
 DELAYS = tuple(2.0**i for i in range(8))
 """On-delays that are weighed, in windows."""
-FOUND = 0.9
-"""Probability with which a change of the size said is found within the time said."""
-WORTH = 1.05
-"""A longer delay is worth its time where what it finds is smaller by this ratio."""
-SURE = 0.95
-"""Confidence at which a spread of few independent hours is not larger."""
-MARGIN = 0.5
-"""Least limit in sd of a row: below that the alarm would stand on the confidence alone."""
 
 
 @dataclass(frozen=True, slots=True)

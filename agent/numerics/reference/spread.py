@@ -11,21 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.reference.tuning import CLIPPED, LEAST_DAYS, LEAST_PAIRS, OUTLIER
 from agent.types import BoolArray, FloatArray, IntArray
+from agent.units import DAY_S
 
-DAY_S = 86_400.0
 HUBER = 1.345
-"""Robust deviations beyond which a period's mean weighs less: 95 % efficient on normal data (Huber 1981)."""
-EFFICIENCY = 0.95
-CLIPPED = 3.0
-"""Robust deviations at which the mean of a period is cut for the spread: a healthy one seldom goes beyond."""
-OUTLIER = 5.0
-"""Robust deviations from its period's median at which a row is left out of the mean."""
+"""Fixed by Huber 1981: robust deviations beyond which a period's mean weighs less: 95 % efficient on normal
+data (Huber 1981)."""
+EFFICIENCY = 0.95  # fixed by Huber 1981: of that mean
 MAD = 1.4826
-"""From the median absolute deviation to the standard deviation of a normal distribution."""
-LEAST_DAYS = 3
-LEAST_PAIRS = 4
-"""Days that a spread between days needs, and pairs of means that an autocorrelation needs."""
+"""Fixed by statistics: from the median absolute deviation to the standard deviation of a normal
+distribution."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from agent.blocks.covariates.compensation import dependences
-from agent.numerics.reference.covariates.dependence import STRANGE, Dependence
+from agent.numerics.reference.covariates.dependence import Dependence
 from agent.numerics.reference.covariates.lags import PERIOD_S, newest_period, series
+from agent.numerics.reference.tuning import STRANGE
 from agent.records import Baseline
 from agent.storage.read import baselines, covariates
 from agent.storage.read.covariates import Means

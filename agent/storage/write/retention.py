@@ -92,13 +92,13 @@ def bytes_per_rig_year(
     """
     period = max(every_s, hop_s)
     rows = [
-        min(max(keep.full_s, HOUR_S), tuning.YEAR_S) / period,
-        min(keep.minute_s, tuning.YEAR_S) / MINUTE_S,
-        min(keep.hour_s, tuning.YEAR_S) / HOUR_S,
+        min(max(keep.full_s, HOUR_S), tuning.TIER_S) / period,
+        min(keep.minute_s, tuning.TIER_S) / MINUTE_S,
+        min(keep.hour_s, tuning.TIER_S) / HOUR_S,
     ]
     coarse = tuning.HOP_BYTES + parameters * (tuning.CELL_BYTES + tuning.SPREAD_BYTES)
     sizes = [tuning.HOP_BYTES + parameters * windows * tuning.CELL_BYTES, coarse, coarse]
-    health = sources * (min(keep.full_s, tuning.YEAR_S) / 10 + tuning.YEAR_S / HOUR_S) * tuning.HEALTH_BYTES
+    health = sources * (min(keep.full_s, tuning.TIER_S) / 10 + tuning.TIER_S / HOUR_S) * tuning.HEALTH_BYTES
     beside = covariates * (rows[1] + rows[2]) * tuning.COVARIATE_BYTES
     year = health + beside + sum(n * size for n, size in zip(rows, sizes, strict=True))
     return ceil(max(HOUR_S / period * sizes[0], min(keep.max_bytes, year)))

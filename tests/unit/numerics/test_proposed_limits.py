@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from agent.blocks.level_alarms import LevelAlarms
-from agent.numerics.reference.limits import YEAR_S, Healthy, Limit, false_per_year, proposed
+from agent.numerics.reference.limits import Healthy, Limit, false_per_year, proposed
+from agent.units import YEAR_S
 from tests.unit.blocks.test_level_alarms import batch
 
 HEALTHY = Healthy(1.0, 3600.0, 200.0, 0.5, 0.5, 4.0, 2.0)

@@ -4,7 +4,8 @@ signs."""
 import numpy as np
 
 from agent.numerics.identification.pooled import Costs
-from agent.numerics.identification.selection import TIE, Selector
+from agent.numerics.identification.selection import Selector
+from agent.numerics.identification.tuning import TIE
 from agent.types import FloatArray
 
 WINDOWS, PARAMETERS = 12, 8

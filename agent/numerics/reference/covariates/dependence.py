@@ -6,15 +6,7 @@ from dataclasses import asdict, dataclass
 from math import floor, hypot, log10, sqrt
 
 from agent.numerics.reference.covariates.lags import Lag, Lagged, Shape
-
-STRANGE = 0.5
-"""How far a dependence may be off beyond what was learnt, as a share of what it adds there."""
-STEPS_A_SPREAD = 4.0
-"""Steps of a reference in the spread of the healthy machine: finer ones say no more, and each takes a row."""
-LITTLE = 0.5
-"""Share of what acts of a covariate below which it counts as missing."""
-OUTSIDE = 0.1
-"""By how much of the learnt range a covariate may be beyond it before that is said."""
+from agent.numerics.reference.tuning import LITTLE, OUTSIDE, STRANGE
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,21 +21,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from agent.numerics.reference.tuning import CLOSED, DRIFTS, MOST_GAP, RECENT, UNREAD
 from agent.types import BoolArray, FloatArray, IntArray
+from agent.units import MINUTE_NS
 
 PERIOD_S = 60.0
-"""What a mean of a covariate is taken over."""
-PERIOD_NS = 60_000_000_000
-CLOSED = 2
-"""A row rests on means so many periods older: readings may arrive a period late, and no row differs."""
-RECENT = 2880.0
-"""Periods (two days) over which a covariate is averaged to guess it while it is missing."""
-DRIFTS = 10_080.0
-"""Periods (a week) after which such a guess is off by sqrt(2) times what the covariate spreads by at once."""
-UNREAD = 129_600
-"""Periods (90 days) for which a covariate counts as missing that was never read."""
-MOST_GAP = 20_000
-"""Periods without a row after which a lagged covariate is begun anew (two weeks)."""
+"""Fixed by the store: means are of whole minutes: what a mean of a covariate is taken over."""
 
 Shape = Literal["none", "delay", "first-order"]
 
@@ -60,7 +51,7 @@ class Lag:
 
 def newest_period(t_ns: IntArray) -> IntArray:
     """Return the newest period (n,) that rows at these instants rest on."""
-    return np.asarray(t_ns // PERIOD_NS - CLOSED)
+    return np.asarray(t_ns // MINUTE_NS - CLOSED)
 
 
 @dataclass(frozen=True, slots=True)

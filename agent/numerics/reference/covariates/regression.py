@@ -17,24 +17,15 @@ from math import hypot, log, sqrt
 import numpy as np
 
 from agent.numerics.reference.covariates.lags import Lag
-from agent.numerics.reference.spread import correlation_sum
+from agent.numerics.reference.spread import MAD, correlation_sum
+from agent.numerics.reference.tuning import ALIKE, CLIPPED, CORRELATIONS, LENGTHS, PART, ROUNDS, SHORTEST_S
 from agent.types import FloatArray, IntArray
 
-CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
-"""Autocorrelations from period to period that are weighed."""
-SHORTEST_S, LENGTHS, PART = 300.0, 17, 8.0
-"""Lags are 5 min times the square root of 2 to the 0 ... 16 (21 h), at most an eighth of the stretch."""
-ROUNDS = 2
-"""How often each covariate's lag is looked for beside those of the others."""
 FINE = tuple(2.0 ** (k / 12) for k in (-4, -3, -2, -1, 1, 2, 3, 4))
 """Lags beside the best of the coarse grid that are weighed too."""
-CLIPPED = 3.0
-"""Robust deviations at which a period's residual is cut, so that a bad hour moves nothing."""
 WITHIN = 1.92
-"""Log-likelihood below the best at which a lag is no longer in its 95 % interval: half of chi-squared(1)."""
-MAD = 1.4826
-ALIKE = 0.999
-"""Correlation of two covariates from which on nobody can tell which of them it is."""
+"""Fixed by statistics: log-likelihood below the best at which a lag is no longer in its 95 % interval: half
+of chi-squared(1)."""
 
 Columns = Callable[[int, Lag], FloatArray]
 """Covariate by number, and lag -> what acts of it in each period (n,)."""

@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from agent.numerics.preprocessing.cleaning import BLOCK, Clean, Cleaner
+from agent.numerics.preprocessing.cleaning import Clean, Cleaner
+from agent.numerics.preprocessing.tuning import BLOCK
 from tests.unit.numerics.rigs import FloatArray, noisy, record, sampled
 
 SIGMA = 1e-6

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.numerics.preprocessing.drift import BINS, ClockFit, Drift, lower_line
+from agent.numerics.preprocessing.drift import ClockFit, Drift, lower_line
+from agent.numerics.preprocessing.tuning import BINS
 
 PERIODS = {"polled": 0.02, "streamed": 0.002}
 

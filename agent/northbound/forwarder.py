@@ -20,27 +20,16 @@ from agent.config.sections.north import North
 from agent.errors import AgentError
 from agent.northbound.interface.peer import Batch, MakePeer, Peer, PeerError, Place
 from agent.northbound.position import Position
+from agent.northbound.tuning import FILL_S, KEEP_S, LATE_S, PAUSE_S, ROUND_S, STORE_S
 from agent.records import HealthEvent
 from agent.storage.read.forward import Feed, lag
 from agent.storage.write.consumers.cursors import Edges, begin, edges_of, keep
 from agent.storage.write.jobs import Job
 from agent.storage.write.store import Store
 
-PAUSE_S: Final = 1.0, 30.0
-"""After a failed attempt, at least and, doubled each time, at most; each randomly shortened by up to half."""
-LATE_S: Final = 5.0
-"""A consumer that has been behind for longer gets what is new first, and what it lacks as backfill."""
-KEEP_S: Final = 5.0
-"""From one storing of cursors to the next: what was acknowledged since is sent again after a crash."""
-FILL_S: Final = 0.1, 0.4
-"""How long a batch of what is lacking is to take, at least and at most: what is new comes between two."""
-ROUND_S: Final = 5.0
-"""A round begins after this where nothing is stored."""
 _IN_ORDER: Final = ("alarms",)
 _PERIOD: Final = "period"
 """The number under which a consumer by schedule keeps the period that it has."""
-_STORE_S: Final = 2.0
-"""Until a database that cannot be read is tried again."""
 
 log = logging.getLogger(__name__)
 
@@ -181,7 +170,7 @@ class Forwarder:
             return 0.0 if self._stopping.is_set() else self._failed(error)
         except (AgentError, sqlite3.Error, OSError) as error:
             log.info("%s: what is to be sent is not known now: %s", self.consumer.name, error)
-            return _STORE_S
+            return STORE_S
 
     def _round(self) -> float:
         if self._positions is None:

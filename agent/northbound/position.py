@@ -1,9 +1,8 @@
 """Position: what a consumer has of a topic, as edges between what it has and what it has not."""
 
-from typing import Final, NamedTuple, Self
+from typing import NamedTuple, Self
 
-MOST_GAPS: Final = 32
-"""Gaps that are kept apart; beyond it the shortest stretch between two is sent again with them."""
+from agent.northbound.tuning import MOST_GAPS
 
 
 class Position(NamedTuple):

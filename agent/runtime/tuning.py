@@ -88,3 +88,23 @@ AGAIN_S = 1.0  # until runs are begun again that a failing disk does not let beg
 MOST_SPARE = 1000  # messages that wait; what can be spared is not sent where more do
 MOST_CELLS = 200_000  # rows that wait for the agent at most, a database: as many as wait for a disk
 MORE_EXPENDABLE = 200  # added to a worker's score for Linux's out-of-memory killer: it goes before the agent
+
+# forecasts/histories, making, schedule, scoring, thread
+HISTORY_MEANS = 1000
+"""Means that a history is thinned to at once, so that a year of rows costs little more than a day."""
+MOMENT = 60.0
+"""A history shorter than this part of the time between forecasts is too short, whatever it looks like."""
+FORECASTS_AT_ONCE = 100
+"""Instants that are made up for at once; where more have passed nothing was recorded meanwhile."""
+ALARM_FORECASTS = 60
+"""Forecasts of one parameter at alarms are apart by this part of the time between others at least."""
+LONG_TIMES = 2.0
+"""A forecast is scored, though nothing came, when so many times as long as until its P90 has passed."""
+SETTLE_S = 2.0  # how long after it was asked a forecast is begun, so that the rows that led to it are stored
+NICER = 5
+"""Less priority than the agent's other threads, in steps of nice(2). At the lowest it would be put aside
+while it holds the interpreter's lock, and a thread that reads a bus would wait for it."""
+FORECASTS_WAITING = 64  # what was made and not fetched; the oldest goes
+
+# forwarded/postgres
+ROWS_READ = 20_000  # rows of a database that are held at a time

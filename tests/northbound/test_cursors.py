@@ -12,7 +12,8 @@ import pytest
 
 from agent.config.sections.north import North
 from agent.northbound.interface.peer import Batch
-from agent.northbound.position import MOST_GAPS, Position
+from agent.northbound.position import Position
+from agent.northbound.tuning import MOST_GAPS
 from agent.storage.read.forward import Feed
 from agent.storage.write.consumers.cursors import begin, edges_of, forget_others, keep
 from agent.storage.write.retention import Retention

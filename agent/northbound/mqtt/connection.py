@@ -23,13 +23,10 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from agent.config.sections.north import North
 from agent.northbound.interface.certificate import refuse_expired
 from agent.northbound.interface.peer import Credentials, PeerError, Place
+from agent.northbound.tuning import IN_FLIGHT, LEAVE_S, LOOK_S
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
-_IN_FLIGHT: Final = 100
-"""Messages that wait for their acknowledgement together, unless the broker takes fewer."""
-_LOOK_S: Final = 0.2
 _CREDENTIALS: Final = {"Not authorized", "Bad user name or password", "Banned", "Bad authentication method"}
-_LEAVE_S: Final = 1.0
 _WITH_WILL: Final = "Disconnect with will message"
 
 
@@ -131,9 +128,9 @@ class Connection:
         left = self._consumer.timeout_s
         while True:
             with self._changed:
-                if self._changed.wait_for(lambda: done() or self._lost is not None, _LOOK_S):
+                if self._changed.wait_for(lambda: done() or self._lost is not None, LOOK_S):
                     break
-            left -= _LOOK_S
+            left -= LOOK_S
             if not self._place.waiting():
                 raise PeerError("stopped", "the agent is ending")
             if left <= 0:
@@ -156,14 +153,14 @@ class Connection:
                 words = _WITH_WILL if with_will else "Normal disconnection"
                 self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, words))
             with self._changed:
-                self._changed.wait_for(lambda: self._lost is not None, _LEAVE_S)
+                self._changed.wait_for(lambda: self._lost is not None, LEAVE_S)
         raw = self._client.socket()
         if isinstance(raw, socket.socket):
             with suppress(OSError):
                 raw.shutdown(socket.SHUT_RDWR)
         ending = threading.Thread(target=self._client.loop_stop, name="mqtt end", daemon=True)
         ending.start()
-        ending.join(_LEAVE_S)
+        ending.join(LEAVE_S)
 
     def _failure(self, words: str) -> PeerError:
         said = f" ({self._said})" if self._said else ""
@@ -179,8 +176,8 @@ class Connection:
         answer: ReasonCode,
         properties: Properties | None,
     ) -> None:
-        most = getattr(properties, "ReceiveMaximum", _IN_FLIGHT)
-        client._max_inflight_messages = min(_IN_FLIGHT, most)  # noqa: SLF001 - known with the answer, no sooner
+        most = getattr(properties, "ReceiveMaximum", IN_FLIGHT)
+        client._max_inflight_messages = min(IN_FLIGHT, most)  # noqa: SLF001 - known with the answer, no sooner
         with self._changed:
             self._answer = answer
             self._changed.notify_all()

@@ -17,13 +17,13 @@ from pyarrow import parquet
 from agent.config.sections.north import North
 from agent.northbound.interface.layout import COLUMNS, NAMES
 from agent.northbound.interface.peer import Batch, PeerError, Place, Row
+from agent.units import DAY_NS
 
 _TYPES: Final[Mapping[str, Any]] = {
     "text": arrow.string(), "bigint": arrow.int64(), "double precision": arrow.float64(),
     "boolean": arrow.bool_(),
     "timestamptz": arrow.timestamp("ns", "UTC"),
 }  # fmt: skip
-_DAY_NS: Final = 86_400_000_000_000
 
 
 class ParquetPeer:
@@ -76,7 +76,7 @@ def _day(t_ns: int) -> str:
     """Return the day of UTC that an instant is of."""
     import numpy as np
 
-    return str(np.datetime64(t_ns // _DAY_NS, "D"))
+    return str(np.datetime64(t_ns // DAY_NS, "D"))
 
 
 def _write(folder: Path, name: str, table: Any) -> None:

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-_VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
-_MOST = 2**64
+_VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5  # fixed by Protocol Buffers' encoding: wire types
+_MOST = 2**64  # fixed by Protocol Buffers' encoding: integers modulo 64 bits
 
 
 def varint(number: int) -> bytes:
@@ -75,13 +75,13 @@ INT64: Final = 4
 DOUBLE: Final = 10
 BOOLEAN: Final = 11
 STRING: Final = 12
-"""Data types of metrics, as the specification numbers them."""
+"""Fixed by Sparkplug 3.0: data types of metrics, as the specification numbers them."""
 _PAYLOAD: Final = {"timestamp": 1, "metrics": 2, "seq": 3}
 _METRIC: Final = {
     "name": 1, "alias": 2, "timestamp": 3, "datatype": 4, "is_historical": 5, "is_null": 7, "properties": 9,
 }  # fmt: skip
 _VALUE: Final = {INT64: 11, DOUBLE: 13, BOOLEAN: 14, STRING: 15}
-_KEYS, _VALUES, _TYPE, _TEXT = 1, 2, 1, 8
+_KEYS, _VALUES, _TYPE, _TEXT = 1, 2, 1, 8  # fixed by Sparkplug 3.0: fields of a set of properties and of one
 
 Value = int | float | bool | str | None
 

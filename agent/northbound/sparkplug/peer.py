@@ -22,7 +22,7 @@ _SPACE: Final = "spBv1.0"
 _REBIRTH: Final = "Node Control/Rebirth"
 _BD_SEQ: Final = "bdSeq"
 _NUMBERS: Final = 256
-"""seq and bdSeq begin anew after so many."""
+"""Fixed by Sparkplug 3.0: seq and bdSeq begin anew after so many."""
 
 
 class SparkplugPeer:

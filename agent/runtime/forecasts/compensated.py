@@ -15,10 +15,8 @@ from agent.records import Baseline
 from agent.storage.read import baselines, covariates
 from agent.storage.read.covariates import Means
 from agent.storage.read.points import Points
+from agent.storage.tuning import LAG_MEMORY_NS
 from agent.types import FloatArray
-
-BEFORE_NS = 5 * 86_400 * 10**9
-"""How long before the rows covariates matter: five times the longest lag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +42,7 @@ def compensated(db: Path, points: Points, standing: Sequence[Baseline] | None = 
     if one is None or not found:
         return Compensated(points)
     first, last = int(points.t_ns[0]), int(points.t_ns[-1])
-    return _without(points, one, found, covariates.means(db, points.rig, first - BEFORE_NS, last + 1))
+    return _without(points, one, found, covariates.means(db, points.rig, first - LAG_MEMORY_NS, last + 1))
 
 
 def _without(

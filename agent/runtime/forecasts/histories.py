@@ -16,6 +16,7 @@ from agent.prognosis.learnt import Learnt
 from agent.prognosis.posterior import FULL, Effort
 from agent.prognosis.traces import Trace
 from agent.runtime.forecasts.record import Row, record_of
+from agent.runtime.tuning import HISTORY_MEANS
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.storage.read.tables import is_table, table_points
@@ -23,10 +24,8 @@ from agent.storage.read.times import age_ns
 from agent.text import iso_time
 
 PRIOR = "deltak prior 1"
-MOST = 1000
-"""Means that a history is thinned to at once, so that a year of rows costs little more than a day."""
 _LATEST_NS = 253_402_300_799 * 10**9
-"""The end of the year 9999: what ISO 8601 can write."""
+"""Fixed by ISO 8601: the end of the year 9999: what ISO 8601 can write."""
 
 
 def history_of(points: Points, window_s: float) -> History:
@@ -35,7 +34,7 @@ def history_of(points: Points, window_s: float) -> History:
     if not len(rows):
         return History(np.empty(0), np.empty(0), np.empty(0))
     days = (points.t_ns[rows] - points.t_ns[-1]) / DAY_NS
-    return blocks(sound(History(days, points.value[rows], points.sd_repeat[rows])), MOST)
+    return blocks(sound(History(days, points.value[rows], points.sd_repeat[rows])), HISTORY_MEANS)
 
 
 def common_sd(points: Points) -> float:

@@ -22,15 +22,14 @@ from agent.records import ForecastRecord, HealthEvent, Record, TrendRecord
 from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import common_sd, history_of, like_machines, window_s
 from agent.runtime.forecasts.scoring import scores_of
+from agent.runtime.tuning import MOMENT
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.text import iso_time
 
 SOURCE, FAILURE = "forecast", "failure"
 """What events of forecasts that could not be made are called."""
-MOMENT = 60.0
-"""A history shorter than this part of the time between forecasts is too short, whatever it looks like."""
-_LAST_NS = 2**63 - 1
+_LAST_NS = 2**63 - 1  # fixed by 64 bits
 
 log = logging.getLogger(__name__)
 

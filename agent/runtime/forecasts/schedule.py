@@ -4,13 +4,10 @@ import math
 from collections.abc import Iterable
 
 from agent.records import Record
+from agent.runtime.tuning import ALARM_FORECASTS, FORECASTS_AT_ONCE
 from agent.types import AlarmTransition
 
 DUE, ALARM = "due", "alarm"
-_MOST = 100
-"""Instants that are made up for at once; where more have passed nothing was recorded meanwhile."""
-_SPARE = 60
-"""Forecasts of one parameter at alarms are apart by this part of the time between others at least."""
 
 
 class Schedule:
@@ -22,7 +19,7 @@ class Schedule:
     def __init__(self, every_s: float, first_s: float = math.inf) -> None:
         self._first_ns = round(min(every_s, first_s) * 1e9) if not math.isinf(every_s) else 0
         self._every_ns = None if math.isinf(every_s) else round(every_s * 1e9)
-        self._apart_ns = 60_000_000_000 if self._every_ns is None else self._every_ns // _SPARE
+        self._apart_ns = 60_000_000_000 if self._every_ns is None else self._every_ns // ALARM_FORECASTS
         self._due_ns: int | None = None
         self._alarmed: dict[str, int] = {}
 
@@ -34,7 +31,7 @@ class Schedule:
             self._due_ns = now_ns + self._first_ns
         count = max(0, (now_ns - self._due_ns) // self._every_ns + 1)
         first, self._due_ns = self._due_ns, self._due_ns + count * self._every_ns
-        return [first + i * self._every_ns for i in range(max(0, count - _MOST), count)]
+        return [first + i * self._every_ns for i in range(max(0, count - FORECASTS_AT_ONCE), count)]
 
     def at_alarms(self, records: Iterable[Record], now_ns: int | None = None) -> list[tuple[int, str]]:
         """Return when level alarms changed, and of what; not those that changed a moment ago as well."""

@@ -8,12 +8,11 @@ import numpy as np
 
 from agent.prognosis.crossing import beyond, score
 from agent.records import ForecastScore
+from agent.runtime.tuning import LONG_TIMES
 from agent.types import FloatArray, IntArray
 
 Row = Mapping[str, Any]
 """A row of v_forecast."""
-LONG = 2.0
-"""A forecast is scored, though nothing came, when so many times as long as until its P90 has passed."""
 
 
 def scores_of(waiting: Sequence[Row], t_ns: IntArray, value: FloatArray) -> list[ForecastScore]:
@@ -44,7 +43,7 @@ def _until(row: Row) -> float:
     """Return until when a passage is awaited, ns."""
     if row["p90_ns"] is None:
         return float(row["made_at_ns"]) + 1e9 * float(row["horizon_s"])
-    return float(row["made_at_ns"]) + LONG * float(row["p90_ns"] - row["made_at_ns"])
+    return float(row["made_at_ns"]) + LONG_TIMES * float(row["p90_ns"] - row["made_at_ns"])
 
 
 def _score(row: Row, now: int, crossed: int | None) -> ForecastScore:

@@ -11,14 +11,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 
 from agent.runtime.forecasts.making import Forecaster, Made
-
-SETTLE_S = 2.0
-"""How long after it was asked a forecast is begun, so that the rows that led to it are stored."""
-_NICER = 5
-"""Less priority than the agent's other threads, in steps of nice(2). At the lowest it would be put aside
-while it holds the interpreter's lock, and a thread that reads a bus would wait for it."""
-_MOST_WAITING = 64
-"""What was made and not fetched; the oldest goes."""
+from agent.runtime.tuning import FORECASTS_WAITING, NICER, SETTLE_S
 
 
 class ForecastThread:
@@ -91,7 +84,7 @@ class ForecastThread:
             with self._condition:
                 self.progress += 1
                 if self._forecasters.get(rig) is forecaster:
-                    self._made[rig] = [*self._made[rig], made][-_MOST_WAITING:]
+                    self._made[rig] = [*self._made[rig], made][-FORECASTS_WAITING:]
 
     def _next(self) -> tuple[str, str, str] | None:
         """Wait for the next that is due and return its rig, parameter and cause; None at the end."""
@@ -112,6 +105,6 @@ def _lower_priority() -> None:
     """Let the other threads go first; on Linux priorities are of threads."""
     try:
         own = threading.get_native_id()
-        os.setpriority(os.PRIO_PROCESS, own, min(19, os.getpriority(os.PRIO_PROCESS, own) + _NICER))
+        os.setpriority(os.PRIO_PROCESS, own, min(19, os.getpriority(os.PRIO_PROCESS, own) + NICER))
     except (AttributeError, OSError):
         return  # a system without it: the work is short

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 from agent.errors import UsageError
 from agent.northbound.interface.layout import NAMES
 from agent.runtime.forwarded.tiers import COLUMNS, History, piece_of
+from agent.runtime.tuning import ROWS_READ
+from agent.units import DAY_NS
 
 if TYPE_CHECKING:
     from psycopg.sql import Composed
 
 SCHEMES: Final = ("postgresql://", "postgres://")
 _PREFIX: Final = "deltak"
-_DAY_NS: Final = 86_400_000_000_000
-_AT_ONCE: Final = 20_000
 _UNSEEN = re.compile(r"(?<=://).*@|\?.*", re.DOTALL)
 """What messages do not show of an address: who signs in, and further settings."""
 _RIGS: Final = """WITH RECURSIVE r(rig) AS (SELECT min(rig) FROM {t}
@@ -54,7 +54,7 @@ class PostgresHistories:
         found = History(rig, most)
         query = f"SELECT {', '.join(COLUMNS)} FROM {{t}} WHERE rig = %s ORDER BY t_ns"  # noqa: S608 own names
         place = COLUMNS.index("t_ns")
-        for _, rows in groupby(self._asked(query, "estimates", rig), lambda row: row[place] // _DAY_NS):
+        for _, rows in groupby(self._asked(query, "estimates", rig), lambda row: row[place] // DAY_NS):
             found.take(piece_of(zip(*rows, strict=True)))
         return found
 
@@ -87,7 +87,7 @@ class PostgresHistories:
                 connection.cursor("deltak_fleet") as cursor,
             ):
                 connection.read_only = True
-                cursor.itersize = _AT_ONCE
+                cursor.itersize = ROWS_READ
                 cursor.execute(self._on(query, topic), values)
                 yield from cursor
 

@@ -8,8 +8,7 @@ TICK_S = 0.05  # s between two looks whether all was played
 SEEN_S = 10.0  # s of a scenario, its first, that must fit into its fields
 SEEN_SAMPLES = 50_000  # samples of these at most
 INSTANTS = 2000  # of covariates, over all that is played, a day of what has no end
-TOLERATED = 0.01
-"""Share of samples beyond the ends of a field from which on the scenario is not made for that wire."""
+TOLERATED = 0.01  # share of samples beyond a field's ends from which a scenario is not made for it
 
 # devices/can/device, kernel
 STOP_S = 5.0  # s that a device's thread may take to end
@@ -26,8 +25,7 @@ QUEUE_SAMPLES = 4096  # samples that the queue of function 24 holds; the oldest 
 # devices/oscillator, pty_line, serial_device, stream, wire_faults
 MOST_JITTER = 0.45  # of a sample: samples stay in order
 READ_BYTES = 65536  # bytes read from a line at a time
-SETTLE_S = 0.2
-"""Readers discard what has arrived when they set up the line: nothing is sent so soon after it was opened."""
+SETTLE_S = 0.2  # s after an opening without a sample: readers discard what came before they were set up
 LINE_LOOK_S = 0.005  # s at most between two looks who has opened the line
 FAST_ROOM = 512  # played fast, samples that may wait in a device for its reader
 IDLE_S = 0.05  # s at most that a device rests while nothing is due
@@ -46,8 +44,7 @@ SHUFFLED_SAMPLES = 50  # samples that are shuffled among themselves
 GARBAGE_BYTES = (24, 40)  # bytes of noise before a frame, from and to
 LIFTED_STATES = 128  # states that are computed by one product
 MOST_RUNS = 10_000  # runs of samples that are kept one by one
-SLOW_HZ = 1.0
-"""How often a device of covariates alone samples where nothing says so (and no faster than the rig)."""
+SLOW_HZ = 1.0  # rate of a device of covariates alone where nothing says so (and no faster than the rig)
 NAMED_SCENARIOS = 20  # names that a fault's text lists
 CHUNK = 1024  # samples of the rig's motion that are computed at a time
 KEPT = 160  # chunks kept for devices: the largest ring and the widest lag between devices fit

@@ -7,8 +7,7 @@ DRAWN_SAMPLES = 4000  # samples of a picture: more are a band
 # gateway/diag, redaction, status
 DIAG_S = 60.0  # s, the newest, that a diagnosis keeps of samples and of frames
 DIAG_BYTES = 20_000_000  # of one file of text at most, from its end
-SECRET_LETTERS = 4
-"""Letters of a secret that is removed wherever it stands: shorter ones stand everywhere by chance."""
+SECRET_LETTERS = 4  # letters of a secret that is removed everywhere: shorter ones stand there by chance
 RELOAD_WAIT_S = 180.0  # s that a reload is waited for: longer than the agent waits for it
 
 # glance/covariates, frame, state, watch
@@ -23,16 +22,14 @@ EVERY_S = 1.0  # s between two looks for what is new
 SENTENCE_LETTERS = 120  # characters of a command's first sentence, which the list of commands shows whole
 
 # opcua/conditions, following, server
-NORMAL_KEPT = 100
-"""Alarms back to normal whose nodes stay, so that whoever acts late learns why it is refused."""
+NORMAL_KEPT = 100  # alarms back to normal that stay, so that whoever acts late learns why it is refused
 PAGE_CHANGES = 500  # changes that are read at a time
 OPCUA_SESSIONS = 100  # clients at a time
 OPCUA_BYTES = 1024 * 1024  # bytes of a message; the library's own bound is a hundred times that
 
 # prognosis/fleet, picture
 FLEET_ROWS = 1500  # of one part that are read: evenly spread hours are enough for a slope
-MOST_PAST = 100
-"""Forecasts of one parameter, of all there were, that are shown: every second, third ..., and the newest."""
+MOST_PAST = 100  # forecasts of one parameter that are shown: every second, third ..., and the newest
 
 # tables/queries
 TABLE_ROWS = 40  # a table for people shows the newest rows; JSON and CSV give all
@@ -68,13 +65,11 @@ MOST_SESSIONS = 100  # sessions at a time; the oldest ends
 FAILURES = 5  # wrong passwords an address may give ...
 FAILURES_S = 60.0  # ... within so many seconds
 FAILED_ADDRESSES = 1000  # addresses whose wrong passwords are remembered
-MOST_BEHIND = 20_000
-"""Instants that somebody may have missed and still get them one by one; of more the page is read anew."""
+MOST_BEHIND = 20_000  # instants that are given one by one to who missed them; of more the page is read anew
 RECENT_CHANGES = 2000  # changes kept for those who follow
 STREAM_POLL_S = 0.2  # s between two looks for what is new
 ALIVE_S = 15.0  # s without news after which a listener is sent a line, so that nobody between hangs up
 PAGE_INSTANTS = 200  # instants that are read at a time
-COARSE_NS = 100_000_000
-"""ns after which any later commit changes the time of its file: file systems count coarsely."""
+COARSE_NS = 100_000_000  # ns after which a later commit surely changes its file's time, which is coarse
 BODY_BYTES = 16384  # bytes of a request's body
 NAME_LETTERS = 64  # characters of the name of whoever asks

@@ -13,11 +13,9 @@ DRIFTS_PPM = 200.0  # a clock that surely drifts by more is worth a word
 # ------------------------------------------------------------------ noise of channels, from readings
 ORDER = 6  # of the difference that takes out the motion and leaves the noise
 REACH = 24
-AHEAD = 2
-"""Readings of a force that may show in one of an output, and how many of them come after it."""
+AHEAD = 2  # readings of a force that may show in one of an output, and how many come after it
 LEAST_ROWS = 10
-MOST_ROWS = 50_000
-"""Rows for each number that is fitted, and of all that is gone by."""
+MOST_ROWS = 50_000  # rows for each number that is fitted, and of all that is gone by
 CALM = 0.2  # of an input's rms: what differences leave beyond is no noise but the force itself
 
 # ------------------------------------------------------------ channels that may be exchanged, scaled or late
@@ -31,8 +29,7 @@ DECAY_FROM = 0.01  # m (or the state's own unit): where a rig without a measured
 GUESSED_NOISE = 1e-3  # of an output's rms, where nothing is known of its noise
 MOST_GROWN = 1e12  # a model whose motion grows so many times within a window is no prediction's business
 SETTLE_MOST = 50_000
-SPAN_MOST = 40_000
-"""Samples that are simulated at most until motion has settled, and beyond the longest window."""
+SPAN_MOST = 40_000  # samples that are simulated until motion has settled, and beyond the longest window
 
 # ------------------------------------------------------------------ warnings
 MARGINAL = 1e-9  # a pole this near the unit circle neither decays nor grows
@@ -43,8 +40,7 @@ LIVELY = 1e-3  # damping ratio above which a mode that oscillates counts as one 
 # baseline/covariates, learn, limits, tried
 HELD_TIMES = 3  # times between readings for which the last one stands
 PRESENT = 0.5  # share of the periods with rows in which a covariate must be known
-EDGES = (0.005, 0.995)
-"""Quantiles between which a covariate was learnt, and of its history where nothing states its range."""
+EDGES = (0.005, 0.995)  # quantiles of what was learnt, and of a history whose range nothing states
 LEAST_PERIODS = 24  # periods that a baseline needs: the spread of fewer is known to no better than a fifth
 DOUBTFUL_PERIODS = 5.0  # independent periods below which what was learnt may be a drift
 RESOLVE = 0.33  # what `estimator.resolve` is by default
@@ -54,41 +50,32 @@ LITTLE_HOURS = 10.0  # independent hours below which the spread itself is hardly
 NEAR_NS = 10_000_000_000  # two activations are of one event where no more than this lies between them
 
 # check, recorded_windows
-WORST_ROUNDS, OBSERVER_ROUNDS = 8, 3
-"""Of line searches for the worst point; each point of the observer's costs an exponential."""
-WEAKEST = 1.0
-"""Standard deviation of a change, in sizes of the parameters, beyond which a window does not tell it."""
+WORST_ROUNDS, OBSERVER_ROUNDS = 8, 3  # line searches for the worst point; the observer's cost exponentials
+WEAKEST = 1.0  # sd of a change, in sizes of the parameters, beyond which a window does not tell it
 SEEN_WINDOWS = 5  # of a recording that are looked at
 NOISE_OF_MORE = 1e-3  # noise of an output that is not there yet, as a share of what it would read
 SHARE_OF_MORE = 1e-2  # the same of one that would show what windows leave vague
 
 # excitation/excite, lines
-MOST_SAMPLES = 400_000
-"""Of a signal, and of a recording looked at: the information of each sample is computed one by one."""
+MOST_SAMPLES = 400_000  # of a signal or recording: each sample's information is computed one by one
 SHOWN_SHARE = 0.05  # share of the power from which a line is named
 MOVING_TIMES = 3.0  # times the noise of its sensor that a motion must be to be one
 ROUNDING = 1e-9  # of a reading: what is less is no motion but arithmetic
 SIGNAL_DIGITS = 9  # digits of a signal that is written: more than any generator has
-MOST_LINES = 500
-"""Frequencies at most, an input; beyond, they are spaced by equal ratios, and closer about the modes."""
-ABOVE, BELOW = 2.5, 0.3
-"""The band by default: from this share of the slowest mode to this multiple of the fastest."""
+MOST_LINES = 500  # frequencies, an input; beyond, they are spaced by ratios, closer about the modes
+ABOVE, BELOW = 2.5, 0.3  # the band by default: times the fastest mode, and share of the slowest
 HIGHEST = 0.4  # of the sample rate: faster forces are no straight lines between samples
-BANDWIDTHS, NEAR_LINES = 6.0, 61
-"""How far about a mode lines stand closer, in its half-power bandwidths, and how many of them."""
+BANDWIDTHS, NEAR_LINES = 6.0, 61  # half-power bandwidths about a mode where lines are closer, and lines
 
 # graphs/choose
 LEAST_WINDOWS = 8  # windows that the jackknife needs
-TINY, SMALL = 1e-3, 0.02
-"""Of the largest of its kind: an element of the file, and a proposed one, begin at 0 where they are less."""
+TINY, SMALL = 1e-3, 0.02  # of the largest of its kind: elements of the file, and proposed, below begin at 0
 GRAPH_ROUNDS = 8  # graphs that are fitted in turn
 LISTED_GRAPHS = 8  # graphs beside the chosen one that are shown
 
 # identification/doubts, material, rivals, start, units, windows
-UNEXPLAINED = 0.02
-"""Share of a motion, its sensor's noise taken off, beyond which the graph is not the machine's."""
-PULLED = 5.0
-"""Data-sheet standard deviations beyond which a mass or gain that the data ask for is no mass or gain."""
+UNEXPLAINED = 0.02  # share of a motion, without noise, beyond which the graph is not the machine's
+PULLED = 5.0  # data-sheet sds beyond which a mass or gain that the data ask for is no mass or gain
 VAGUE = 0.33  # sd, as a share of the value, above which a parameter is not known
 INSEPARABLE = 0.95  # correlation from which two vague parameters are named together
 SHORTEST_PIECE = 128  # samples without a gap that a piece of a recording has at least
@@ -97,27 +84,22 @@ APART_SD = 3.0  # standard deviations beyond which two values of a parameter are
 APART_SHARE = 0.1  # share of a motion by which two solutions differ where a sensor tells them apart
 LEAST_START = 1e-4  # of the largest of its kind: what a start is where noise made it negative
 LEAST_SAMPLES = 2048  # samples that are looked at, where a quarter of a recording is less
-UNIT_FITS = 0.1
-"""Share of any channel's motion that a start may leave: starts are a little off, wrong units leave most."""
+UNIT_FITS = 0.1  # share of a channel's motion that a start may leave: with wrong units it leaves most
 PERIODS, WINDOWS, LONGEST = 10, 12, 32_768
 """Periods of the slowest mode in a window, windows of all recordings if possible, most samples per window."""
 FIRST_PERIODS, GROWTH = 2, 6
 """Periods of the fastest mode that oscillates in the first windows of a linear model, and how many times
 longer the next ones are."""
-AT_ONCE = 1e-4
-"""Stands in for a sampled pole at 0, whose motion dies within a sample and whose rate has no logarithm."""
+AT_ONCE = 1e-4  # for a sampled pole at 0, whose motion dies within a sample and whose rate has no log
 
 # regions/picture, places
 LEAST_SIDE = 0.02  # of the frame of the poles: a pole on the real axis has no height
 DRAWN_POINTS = 200  # points of the box whose poles are drawn
 GRID = 25  # points along each side of the plane
-BEYOND_BOX = 3.0
-"""How far the plane goes, in halves of the box: what holds within the limits shows more around them."""
+BEYOND_BOX = 3.0  # half boxes that the plane reaches: what holds within the limits shows more around
 
 # setup/listen, text
-SHOWN_EVERY_S = 0.5
-"""A source's good units are shown so often, the newest of each kind; rejected at once, but for floods."""
+SHOWN_EVERY_S = 0.5  # s between good units shown, the newest of each kind; rejected ones are shown at once
 MOST_BAD = 5  # rejected units of a source that are shown at a time
 KEPT_LINES = 50  # lines that the document keeps, the newest
-SLOW_HZ, HOP_SAMPLES = 40.0, 5.0
-"""Below this rate a row comes every so many samples; above it the default, 0.05 s, is two or more."""
+SLOW_HZ, HOP_SAMPLES = 40.0, 5.0  # below this rate rows come every so many samples, above it by default

@@ -6,71 +6,55 @@ The tests that need these are tests/scenario (rounds, order of rounds, isolation
 
 # ------------------------------------------------------------------ rounds of the service
 READ_S = 0.2  # how long a reader waits for samples at most before it looks whether it is to end
-QUEUE_SAMPLES = 120_000
-"""Samples that wait for the processing thread at most, a connection: two minutes at 1 kHz."""
+QUEUE_SAMPLES = 120_000  # samples of a connection that wait to be computed: two minutes at 1 kHz
 PART = 2_000  # samples of one rig that are computed in its turn; where more wait, the other rigs come first
 IDLE_S = 0.5  # a round begins after this where nothing comes
-LONGEST_ROUND = 5.0
-"""From one round of computing to the next at most, in least times between two (`agent.round_s`) ..."""
-LONGEST_ROUND_S = 0.5
-"""... and at most, unless the least time is longer: where many rigs share a processor alarms are no later."""
-HEALTH_PERIOD_NS = 10_000_000_000
-"""From one ledger to the next, ns: of the clock while it runs, of samples in a replay."""
+LONGEST_ROUND = 5.0  # between two rounds of computing, in least times between (`agent.round_s`) ...
+LONGEST_ROUND_S = 0.5  # ... and s, unless that is longer: many rigs on a processor alarm no later
+HEALTH_PERIOD_NS = 10_000_000_000  # ns between ledgers, of the clock, of samples in a replay
 
-FIRST_FORECAST_S = 600.0
-"""After a start parameters are forecast once so soon, where the time between forecasts is longer."""
+FIRST_FORECAST_S = 600.0  # s after a start until the first forecast, where forecasts are rarer
 
 # ------------------------------------------------------------------ faults and delays
 PAUSE_NS = 1_000_000_000, 60_000_000_000  # shortest and longest pause after a fault in a rig's numerics, ns
 RAISE_NS = 2_000_000_000
-CLEAR_NS = 500_000_000
-"""Computing is behind when the oldest sample waited for longer, ns, and no more when it waited for less."""
+CLEAR_NS = 500_000_000  # ns that the oldest sample waited where computing falls behind, and is no more
 
 # ------------------------------------------------------------------ watching the threads
-SILENCE_S = 60.0
-"""How long a thread may make no progress where no service manager sets an interval (WatchdogSec)."""
+SILENCE_S = 60.0  # s that a thread may make no progress where no service manager says (WatchdogSec)
 LOOK_S = 1.0  # threads are looked at this often at least
-WRITER_PATIENCE = 2.0
-"""Intervals of the watchdog that a thread that writes may be silent, others one: a slow disk is no hang."""
-PEER_PATIENCE = 10.0
-"""Of those that feed consumers off the gateway: a wait for one is bounded by its timeout_s, 60 s at most."""
+WRITER_PATIENCE = 2.0  # watchdog intervals that a writer may be silent, others one: disks are slow
+PEER_PATIENCE = 10.0  # of those that feed consumers elsewhere: a wait is bounded by timeout_s, 60 s
 
 # ------------------------------------------------------------------ exchanging rigs
-LEAVE_S = 3.0
-"""How long a rig that leaves goes on with what waits; the others' samples meanwhile wait in their queues."""
+LEAVE_S = 3.0  # s that a rig that leaves goes on with what waits; the others' samples wait meanwhile
 RELOAD_S = 120.0  # how long whoever asks for a reload waits for it
 LOG_LINES = 500  # newest lines of the log that are kept in memory for `deltak diag`
 # ------------------------------------------------------------------ the end
 FINISH_S = 2.0
-END_S = 2.8
-"""How long an ending agent handles what waits (samples left are dropped and counted), and takes in all."""
+END_S = 2.8  # s that an ending agent handles what waits (the rest is dropped, counted), takes in all
 HURRY_S = 1.0
-ABANDON_S = 1.6
-"""After being asked to end it begins no fit nor search any more, and then breaks off one under way."""
+ABANDON_S = 1.6  # s after it is asked to end until it begins no fit, and until it breaks off one
 CLOSE_S = 0.6  # how long an agent that ends waits for readers to end
 
 # ------------------------------------------------------------------ what is said of recordings and runs
-MOST_REPORTED = 10_000
-"""Newest activations of alarms, and words of advice, that a run's document tells; the database has all."""
+MOST_REPORTED = 10_000  # alarms and words of advice, the newest, in a run's document; a database has all
 WATCHED = 20_000  # rows of a recording whose time stamps are looked at
 MOST_REFUSED = 0.5  # share of a recording's rows that must be refused for one reason to be worth words
 LITTLE = 0.01  # a recording of which less is used is of no use
 NEAR = 1.25  # two rates within this factor are the same, as far as words are concerned
 
 # playing, replay
-MOST_BLOCKS = 5000
-"""Between two pauses: what they lead to is some 35 MB, and waits in memory until it is stored."""
+MOST_BLOCKS = 5000  # between two pauses: what they lead to, some 35 MB, waits until it is stored
 COMMIT_S = 0.05  # between commits: little is left to write when the last block is estimated
 SWITCH_S = 5e-4
 """Longest that reading and writing hold the interpreter while the estimation, which lets go of it in every
 product of matrices, waits for it: a tenth of a replay at Python's 5 ms; below 0.2 ms switching costs more."""
-OBJECTS = 20_000
-"""New objects between two searches for garbage, of which arrays make none: 700 cost a hundredth of all."""
+OBJECTS = 20_000  # new objects between two searches for garbage: at 700 they cost a hundredth of all
 
 # process/deadline, memory, opening, watch
 ON_ITS_WAY_S = 0.5  # s that an exception which is to break off a fit may take to arrive
-LARGE_BYTES = 128 * 1024
-"""glibc's own first threshold, raised to 32 MB once a large array was freed; a heap then keeps its peaks."""
+LARGE_BYTES = 128 * 1024  # glibc's first threshold, which it raises to 32 MB: a heap keeps its peaks
 OPENING_LOOK_S = 0.05  # s between two looks for the end while databases are opened
 LOOKS_AN_INTERVAL = 4  # threads are looked at this often at least in an interval of the watchdog
 
@@ -90,16 +74,11 @@ MOST_CELLS = 200_000  # rows that wait for the agent at most, a database: as man
 MORE_EXPENDABLE = 200  # added to a worker's score for Linux's out-of-memory killer: it goes before the agent
 
 # forecasts/histories, making, schedule, scoring, thread
-HISTORY_MEANS = 1000
-"""Means that a history is thinned to at once, so that a year of rows costs little more than a day."""
-MOMENT = 60.0
-"""A history shorter than this part of the time between forecasts is too short, whatever it looks like."""
-FORECASTS_AT_ONCE = 100
-"""Instants that are made up for at once; where more have passed nothing was recorded meanwhile."""
-ALARM_FORECASTS = 60
-"""Forecasts of one parameter at alarms are apart by this part of the time between others at least."""
-LONG_TIMES = 2.0
-"""A forecast is scored, though nothing came, when so many times as long as until its P90 has passed."""
+HISTORY_MEANS = 1000  # means a history is thinned to: a year costs little more than a day
+MOMENT = 60.0  # a history shorter than this part of the time between forecasts is too short
+FORECASTS_AT_ONCE = 100  # instants made up for; where more have passed nothing was recorded meanwhile
+ALARM_FORECASTS = 60  # forecasts at alarms are apart by this part of the time between others
+LONG_TIMES = 2.0  # times as long as until its P90 has passed, when a forecast is scored anyway
 SETTLE_S = 2.0  # how long after it was asked a forecast is begun, so that the rows that led to it are stored
 NICER = 5
 """Less priority than the agent's other threads, in steps of nice(2). At the lowest it would be put aside

@@ -3,11 +3,9 @@
 # database/checksum, columns, compaction, connect, files, verify
 CHECKSUM_ROWS = 2048  # rows whose bytes stay in the processor's cache while their columns are walked
 ROWS_AT_ONCE = 64  # of 20 columns at the most: a statement may have 32,766 values
-COPIED_PAGES = 4096
-"""Pages copied back between two looks whether it is to be broken off: a few milliseconds' worth."""
+COPIED_PAGES = 4096  # pages copied back between two looks for an end: a few milliseconds' worth
 WAL_BOUND = 16 * 1024 * 1024  # bytes that the write-ahead log may take whatever readers do
-BALLAST_BYTES = 3 * 1024 * 1024
-"""Freed when the disk is full: SQLite needs room even to delete, and for what the log holds already."""
+BALLAST_BYTES = 3 * 1024 * 1024  # freed when the disk is full: SQLite needs room even to delete
 HEAD_BYTES = 256 * 1024  # bytes in which marks of our own files are looked for where the header is damaged
 READ_BYTES = 1024 * 1024  # bytes of a file read at a time
 SMALL_PAGES = 4096  # files up to this size are read whole at every start
@@ -28,16 +26,14 @@ LEAP_ROWS = 100_000  # numbers skipped after a loss, so that none is given out t
 KEPT_ASIDE = 3  # damaged files kept; a sick flash must not fill itself with them
 
 # tables/ages, clocks, estimates, notifications, rows, run_rows
-CONFIRMED_NS = 24 * 3600 * 10**9
-"""A wall clock is confirmed once consecutive stamps cover so much running time, over more than one run."""
+CONFIRMED_NS = 24 * 3600 * 10**9  # running time that stamps cover once a wall clock is confirmed
 CONFIRMED_RUNS = 2  # runs, the same
 AGE_SLEW = 1e-3  # a wall clock that is drawn to another runs at most this much faster or slower
 MOST_ANCHORS = 1000  # anchors of a wall clock that are kept, the newest
 SAME = 1e-9  # of an sd: what lower and upper may differ from value -+ t95 sd and still be left out
 NORMAL_DOF = 1e9  # degrees of freedom from which on Student's t is normal; the file holds no infinity
 MOST_ERROR = 300  # characters that are kept of what went wrong
-MOST_FITS = 10_000
-"""Fits whose numbers are remembered, the newest: one that comes back after them is given another number."""
+MOST_FITS = 10_000  # fits whose numbers are remembered, the newest; an older one gets another number
 CELLS_A_COMMIT = 20_000  # about 1.2 MB of write-ahead log
 
 # write/alarm_commands, backlog, command_socket, decimation, notifications, retention, rollups, store,
@@ -47,10 +43,8 @@ COMMENT_LETTERS = 1000  # characters of a comment
 COMMAND_ALARMS = 1000  # alarms that one command may name
 BOUNDS_S = (0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 5.0, 10.0, 60.0)
 """Upper ends of the bins, s; one more bin takes all beyond. Rows wait for a batch a second."""
-SHORTEST_S, LONGEST_S = 0.2, 5.0
-"""Seconds that a disk that cannot be written is left alone: first, and, doubled each time, at most."""
-FEW_CELLS = 64
-"""So many small batches are joined into one, so that waiting rows cost their bytes and little more."""
+SHORTEST_S, LONGEST_S = 0.2, 5.0  # s that a failing disk is left alone: first, and, doubled, at most
+FEW_CELLS = 64  # cells below which batches are joined: waiting rows cost little more than their bytes
 LONGEST_REQUEST = 65536  # bytes of a line that is asked
 LONGEST_ANSWER = 1 << 26  # a status is 350 bytes a rig, a log 500 lines
 PATIENCE_S = 5.0  # s that a caller may take to send its line or to take its answer
@@ -60,8 +54,7 @@ MOST_COMMANDS = 4  # done at a time
 BEFORE_S = 10.0
 AFTER_S = 60.0  # s before and after a change of an alarm for which all rows are kept
 MOST_NAMED = 1000  # notifications that one command may name
-KEPT_RECORDS = 100_000
-"""Events, alarms, verdicts, forecasts, trends, lost records: some 20 to 50 MB each: years of a quiet rig."""
+KEPT_RECORDS = 100_000  # events, alarms, verdicts, forecasts ..., 20 to 50 MB each: years of a quiet rig
 FREE_PAGES = 128  # pages of the file that are free: with more a full disk costs no rows
 GROWING_PARTS = 3  # parts of a run that rows may still come for
 HOPS_A_PURGE = 10_000  # rows that are deleted in one transaction: new ones come between two

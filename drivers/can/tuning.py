@@ -15,8 +15,7 @@ PENDING_SAMPLES = 64  # samples that wait for their missing parts
 LATE_BEFORE_RESTART = 50  # samples in a row with older counters, after which the device has begun anew
 
 # driver
-FEW_FRAMES = 64
-"""Where fewer frames came, the bus is left alone for a while: a read costs what hundreds of frames do."""
+FEW_FRAMES = 64  # frames; after fewer the bus is left alone a while: a read costs what hundreds do
 
 # log/driver, text, unmatched
 LOG_FRAMES = 16384  # frames of a log that are handed on together

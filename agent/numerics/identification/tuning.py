@@ -1,8 +1,7 @@
 """Tuned numbers of identification: name, value, unit, and why."""
 
 # exact_response.py
-LONGEST, MOST_PIECES = 16_384, 6
-"""Samples of a piece and number of pieces at most: the start of an estimate needs no more."""
+LONGEST, MOST_PIECES = 16_384, 6  # samples of a piece, and pieces: the start needs no more
 MOST_KEPT = 1200  # frequencies of a piece that are kept
 FIRST_STEPS, FINALISTS = 5, 2  # steps after which the starts are compared, and how many of them go on
 MOST_ROUNDS = 20  # steps of those that go on ...
@@ -15,20 +14,15 @@ much of the right one."""
 STRETCH = 0.7  # logarithm by which a step changes a parameter at most
 VAGUE = 3.0  # sd of what is known of a parameter's logarithm before: what no bin shows stays within it
 # first_noise.py
-TAUGHT = 3
-"""Windows from which the noise is learnt: a window costs a hundred times more to learn from than to read."""
-BRIEF, BRIEF_SHARE = 512, 0.1
-"""Samples at least, and share of a window (a period of the slowest mode), of the first look."""
-FROM = 2
-"""Windows from which that is done: one alone may rest in most of its parts, and is learnt from as a whole."""
+TAUGHT = 3  # windows the noise is learnt from: learning from one costs a hundred times reading it
+BRIEF, BRIEF_SHARE = 512, 0.1  # samples, and share of a window, of the first look at the least
+FROM = 2  # windows from which that is done: one alone may rest, and is learnt from as a whole
 SEARCHED = 3  # windows behind a noise whose sources are not sought on all of their grids any more
 # modulation.py
 FASTEST = 0.7  # of half the sample rate: beyond it what a force does between samples shows in other bins
 # pooled.py
-FARTHEST = 10.0
-"""Standard deviations of its data sheet that a constant may move: beyond, the graph does not fit."""
-MOST_STEPS, RESTS_SD = 16, 0.05
-"""Points that are looked at, and the step in standard deviations at which they end."""
+FARTHEST = 10.0  # data-sheet sds that a constant may move: beyond, the graph does not fit
+MOST_STEPS, RESTS_SD = 16, 0.05  # points that are looked at, and the step, in sds, at which they end
 NEAR_SD = 0.5
 """The step in standard deviations that may be left when the points are over: it widens the interval. Where
 determinants move the likelihood's top from where the sum rests, or a valley of what nothing tells is curved,
@@ -42,13 +36,11 @@ PARTS = 4  # lengths into which a record is cut
 SHORTEST_STRETCH = 64  # samples of a stretch at least
 SMOOTH = 2  # order of the window: its sides fall off faster than a resonance does
 MOST_BINS = 300  # bins of a response that are fitted
-ROUGH, CERTAIN = 0.1, 0.5
-"""Relative errors of a response: what short stretches smear at least, and beyond which a bin says nothing."""
+ROUGH, CERTAIN = 0.1, 0.5  # relative errors: what short stretches smear, and where a bin says nothing
 GUESSES = 32  # starts that are drawn at random ...
 ROUNDS_OF_A_GUESS = 30  # ... steps of each ...
 SEED = 17  # ... and what they are drawn with: any does
-FIRST_ROUNDS, FOLLOWED = 10, 12
-"""Rounds after which guesses are compared, and how many go on: what is far behind by then stays so."""
+FIRST_ROUNDS, FOLLOWED = 10, 12  # rounds after which guesses are compared, and how many go on
 DAMPED = 0.05  # damping ratio of a guess
 MOST_MINIMA, ALIKE = 6, 0.2
 """Minima that are looked at closely, and the logarithm by which parameters of one differ at most: damping is

@@ -5,16 +5,13 @@ LONGEST_SPIKE = 3  # readings of the longest spike
 NEAR = 8  # readings before the doubtful one that it is held against
 BLOCK = 128  # samples over which the usual size of a second difference is taken ...
 THIN = 4  # ... of every fourth of them: the median is the dearest part of all this.
-MEMORY = 4
-"""Blocks back: the greatest of their sizes counts, so that motion that has just begun is usual soon."""
+MEMORY = 4  # blocks back whose greatest size counts, so that motion just begun is usual soon
 EXCESS = 10.0  # a second difference this many times the usual one is in doubt
 CLEAR = 4.0  # a spike stands out this many times more than its two sides differ from each other
-DOUBTFUL = 1.5
-"""An input that stands out so many times more is in doubt: whether it was a spike, the motion decides."""
+DOUBTFUL = 1.5  # an input that stands out so many times more is in doubt: the motion decides
 EXCESS_OF_INPUTS = 6.0  # the same for EXCESS
 CROWD = 32  # samples before a suspect input in which ...
-CROWDED = 12
-"""... no more second differences than two spikes leave may be in doubt: else that is how the signal is."""
+CROWDED = 12  # ... no more second differences may be in doubt (two spikes): so is the signal, else
 WILD = 1e5
 """An isolated input so many times beyond what is usual and beyond every reading before it is a spike whatever
 the motion says: no sensor resolves that much, and sums of its square would leave no digit for those that come
@@ -27,16 +24,13 @@ BINS = 256
 and from stretches of `LONGEST_S` on the oldest are forgotten: over hours a crystal follows the weather."""
 BIN_S, LONGEST_S = 0.25, 4.0  # length of a stretch, at first and at most
 LEAST_BINS = 8  # stretches below which there is no line
-SPREAD_S = 1e-4
-"""Least scatter that is assumed of the most punctual arrivals: what an operating system's timer leaves."""
-CAUTION = 1.6
-"""An edge of a hull scatters more than a line through all points; measured, see the test of the interval."""
+SPREAD_S = 1e-4  # least scatter of the most punctual arrivals: what a system's timer leaves
+CAUTION = 1.6  # a hull's edge scatters more than a line through all points; measured, by its test
 # noise.py
 ROUND_OFF = 1e-10  # share of a signal's peak below which differences are the computer's own
 # rails.py
 PLATEAU = 4  # equal readings that may be a clipped peak ...
-OVERSHOOT = 16.0
-"""... if the motion before would have gone so many steps (or noise) further: a rounded peak goes about 4."""
+OVERSHOOT = 16.0  # ... if the motion would have gone so many steps (or noise) further: round ones go 4
 BRAKED_OVER = 3  # samples before the last whole step into a top over which its braking is told
 BRAKING = 3.5
 """Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more.
@@ -57,13 +51,11 @@ SMOOTH = 20.0  # a range this many times the noise is motion whatever the channe
 LIVELY = 0.3  # a range of this share of the channel's usual one is motion too
 MOVES = 8.0  # nothing below this many steps of the wire is motion
 SHORTEST = 24  # samples that a channel must stand still, while others move, at least
-PATIENT, LONGEST = 3, 4
-"""It must stand still so many times longer than in health; longer than so many windows is not counted so."""
+PATIENT, LONGEST = 3, 4  # times longer than in health that it must stand still; windows at most
 FADE = 0.995  # what is left of a channel's usual range after a block in which something moved
 ABRUPT = 32.0  # steps that it must have missed to be no turning point, which misses eight to eighteen
 CHUNK = 64  # blocks: how far a channel went is remembered over one to two times so many
-FURTHER = 6.0
-"""The share of their way that others must have gone, times the root of the channel's own steps ..."""
+FURTHER = 6.0  # share of their way that others must have gone, times the root of the channel's steps ...
 WIDE = 0.7  # ... where that is no more than this share; else they must have gone half of their way ...
 TRIPS, MORE = 4, 1.5  # ... so often, without going so many times further than before; ...
 FEWEST = 24.0  # ... and a channel of fewer steps tells nothing.

@@ -2,15 +2,12 @@
 
 # covariates/dependence, lags, regression
 STRANGE = 0.5  # how far a dependence may be off beyond what was learnt, as a share of what it adds there
-STEPS_A_SPREAD = 4.0
-"""Steps of a reference in the spread of the healthy machine: finer ones say no more, and each takes a row."""
+STEPS_A_SPREAD = 4.0  # steps of a reference in the healthy spread: finer ones say no more, for a row each
 LITTLE = 0.5  # share of what acts of a covariate below which it counts as missing
 OUTSIDE = 0.1  # by how much of the learnt range a covariate may be beyond it before that is said
-CLOSED = 2
-"""A row rests on means so many periods older: readings may arrive a period late, and no row differs."""
+CLOSED = 2  # periods by which a row's means are older: readings may come late, and no row differs
 RECENT = 2880.0  # periods (two days) over which a covariate is averaged to guess it while it is missing
-DRIFTS = 10_080.0
-"""Periods (a week) after which such a guess is off by sqrt(2) times what the covariate spreads by at once."""
+DRIFTS = 10_080.0  # periods (a week) after which that guess is off by sqrt(2) of the covariate's spread
 UNREAD = 129_600  # periods (90 days) for which a covariate counts as missing that was never read
 MOST_GAP = 20_000  # periods without a row after which a lagged covariate is begun anew (two weeks)
 CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99)

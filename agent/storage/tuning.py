@@ -4,6 +4,7 @@
 CHECKSUM_ROWS = 2048  # rows whose bytes stay in the processor's cache while their columns are walked
 ROWS_AT_ONCE = 64  # of 20 columns at the most: a statement may have 32,766 values
 COPIED_PAGES = 4096  # pages copied back between two looks for an end: a few milliseconds' worth
+SPILL_BYTES = 10 * 1024 * 1024  # bytes in the log after which rows go to a side file
 WAL_BOUND = 16 * 1024 * 1024  # bytes that the write-ahead log may take whatever readers do
 BALLAST_BYTES = 3 * 1024 * 1024  # freed when the disk is full: SQLite needs room even to delete
 HEAD_BYTES = 256 * 1024  # bytes in which marks of our own files are looked for where the header is damaged
@@ -56,6 +57,8 @@ AFTER_S = 60.0  # s before and after a change of an alarm for which all rows are
 MOST_NAMED = 1000  # notifications that one command may name
 KEPT_RECORDS = 100_000  # events, alarms, verdicts, forecasts ..., 20 to 50 MB each: years of a quiet rig
 FREE_PAGES = 128  # pages of the file that are free: with more a full disk costs no rows
+LATE_NS = 30 * 10**9  # rows kept for an alarm reach the store up to 10 s after later ones
+PART_NS = 3600 * 10**9  # ns of rows that are aggregated and purged at a time
 GROWING_PARTS = 3  # parts of a run that rows may still come for
 HOPS_A_PURGE = 10_000  # rows that are deleted in one transaction: new ones come between two
 TIER_S = 365 * 86400  # s; a tier kept longer counts for so long in what the file may need

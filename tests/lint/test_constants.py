@@ -3,9 +3,10 @@
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 from tests.lint.density import PACKAGES
 from tests.peers import ROOT
@@ -35,23 +36,26 @@ def numbers(source: str) -> Iterator[tuple[str, str]]:
         yield from numbers_of(node)
 
 
-def numbers_of(node: ast.stmt) -> Iterator[tuple[str, str]]:
+def numbers_of(node: ast.stmt, names: Mapping[str, int] = MappingProxyType({})) -> Iterator[tuple[str, str]]:
+    """Yield what a statement gives to names in capitals; names: what may stand in it beside numbers."""
     value = node.value if isinstance(node, ast.Assign | ast.AnnAssign) else None
     target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
     if value is None or target is None:
         return
-    names = target.elts if isinstance(target, ast.Tuple) else [target]
+    targets = target.elts if isinstance(target, ast.Tuple) else [target]
     values = value.elts if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) else [value]
-    for name, one in zip(names, values, strict=False):
+    for name, one in zip(targets, values, strict=False):
         is_constant = isinstance(name, ast.Name) and name.id.isupper()
-        if is_constant and is_number(one):
+        if is_constant and is_number(one, names):
             yield ast.unparse(name), ast.unparse(one)
 
 
-def is_number(value: ast.expr) -> bool:
+def is_number(value: ast.expr, names: Mapping[str, int]) -> bool:
+    if not any(isinstance(node, ast.Constant) for node in ast.walk(value)):
+        return False
     try:
-        found = eval(compile(ast.Expression(value), "", "eval"), {"__builtins__": {}})
-    except NameError:
+        found = eval(compile(ast.Expression(value), "", "eval"), {"__builtins__": {}}, names)
+    except (NameError, TypeError, AttributeError):
         return False
     return all(
         type(one) in (int, float) for one in (found if isinstance(found, tuple) and found else (found,))
@@ -73,8 +77,8 @@ def test_constants_a_name_never_means_two_numbers_in_a_package() -> None:
     assert twice == {}
 
 
-def loose(source: str) -> set[str]:
-    """Return the numbers at a module's top of which nothing says who has fixed them.
+def loose(source: str, words: re.Pattern[str] = FIXED) -> set[str]:
+    """Return the numbers at a module's top beside which such words do not stand: "fixed by", and who.
 
     What is said behind a number or in the string below it holds also for those in the lines before it.
     """
@@ -83,12 +87,12 @@ def loose(source: str) -> set[str]:
     lines = source.splitlines()
     nodes = ast.parse(source).body
     for node, after in zip(nodes, [*nodes[1:], None], strict=True):
-        waiting |= {name for name, _ in numbers_of(node)}
-        words = lines[node.end_lineno - 1].partition("#")[2]
+        waiting |= {name for name, _ in numbers_of(node, defaultdict(lambda: 2))}
+        said = lines[(node.end_lineno or 0) - 1].partition("#")[2]
         if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-            words += str(after.value.value)
-        is_over = bool(words) or after is None or after.lineno > (node.end_lineno or 0) + 1
-        if is_over and not FIXED.match(words.strip()):
+            said += str(after.value.value)
+        is_over = bool(said) or after is None or after.lineno > (node.end_lineno or 0) + 1
+        if is_over and not words.match(said.strip()):
             found |= waiting
         if is_over:
             waiting = set()
@@ -111,8 +115,14 @@ def test_constants_have_one_table_a_package() -> None:
     assert [file for file in tables if "import" in file.read_text(encoding="utf-8")] == []
 
 
+def test_constants_of_a_table_have_a_word_each() -> None:
+    tables = [file for package in PACKAGES for file in (ROOT / package).rglob(TABLE)]
+    bare = {file: loose(file.read_text(encoding="utf-8"), re.compile(r"\S")) for file in tables}
+    assert {file.relative_to(ROOT).as_posix(): names for file, names in bare.items() if names} == {}
+
+
 def test_constants_fixed_by_others_may_stand_at_a_modules_top() -> None:
-    source = 'A = 1  # fixed by linux/can.h\nB = 2\nC = 3\n"""Fixed by ISO 1."""\nD = 4\n\nE = 5  # s\n'
+    source = 'A = 1  # fixed by linux/can.h\nB = 2\nC = 3\n"""Fixed by ISO 1."""\nD = 4\n\nE = A * 5  # s\n'
     assert loose(source) == {"D", "E"}
 
 

@@ -33,7 +33,7 @@ from agent.numerics.preprocessing.tuning import (
 )
 from agent.types import BoolArray, FloatArray
 
-LOOK_AHEAD = LONGEST_SPIKE + 2
+LOOK_AHEAD = LONGEST_SPIKE + 2  # fixed by the second difference, which needs one on either side
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from agent.storage.database.files import (
 from agent.storage.database.schema import PAGE_SIZE, SCHEMA_VERSION, strange_schema, version_of, write_schema
 from agent.storage.tuning import WAL_BOUND
 
-FRAME_BYTES = PAGE_SIZE + 24
+FRAME_BYTES = PAGE_SIZE + 24  # fixed by SQLite's file format
 _WRITER = (
     "PRAGMA synchronous = FULL",  # NORMAL loses acknowledged rows at a power cut
     "PRAGMA mmap_size = 0",  # a stray write must not reach the file

@@ -20,7 +20,7 @@ from agent.storage.read.queries import view_rows
 from agent.storage.tuning import BATCHES_A_CONNECTION
 
 Row = dict[str, Any]
-_LAST_COLUMN: Final = (1 << COLUMN_BITS) - 1
+_LAST_COLUMN: Final = (1 << COLUMN_BITS) - 1  # fixed by the file's format
 _TABLES: Final = {"alarms": "alarm_events", "estimates": "hops", "events": "events", "health": "health"}
 _STEP: Final = ("kind", "parameter", "priority", "message", "delta", "sd", "limit_value", "probability")
 """What a step of an alarm says of the alarm itself."""

@@ -51,10 +51,6 @@ def purge_logs(connection: sqlite3.Connection, kept: int = tuning.KEPT_RECORDS) 
         connection.execute(f"DELETE FROM {table} WHERE {condition}", (kept,))
 
 
-_LATE_NS = 30 * SECOND_NS  # rows kept for an alarm reach the store up to 10 s after later ones
-_STRETCH_NS = HOUR_S * SECOND_NS  # aggregated and purged at a time
-
-
 @dataclass(frozen=True, slots=True)
 class Retention:
     """How long each tier is kept, s (inf: for ever), and how large the file may grow, bytes."""
@@ -180,7 +176,7 @@ class TierKeeper:
     def _progress(self, run_id: int, *, growing: bool = False) -> _Progress:
         minute, hour = (self._newest(run_id, span) for span in (MINUTE_S, HOUR_S))
         oldest = self._oldest(run_id, 0)
-        start = 0 if oldest is None else (oldest // _STRETCH_NS) * _STRETCH_NS
+        start = 0 if oldest is None else (oldest // tuning.PART_NS) * tuning.PART_NS
         minute_ns = start if minute is None else minute + MINUTE_S * SECOND_NS
         return _Progress(minute_ns, start if hour is None else hour + HOUR_S * SECOND_NS, growing)
 
@@ -196,9 +192,9 @@ class TierKeeper:
             return
         if progress.minute_ns == 0:  # the run's first rows came after it was taken up
             progress.minute_ns = progress.hour_ns = (
-                (self._oldest(run_id, 0) or 0) // _STRETCH_NS
-            ) * _STRETCH_NS
-        over = newest + 1 + MINUTE_S * SECOND_NS if finish else newest - _LATE_NS
+                (self._oldest(run_id, 0) or 0) // tuning.PART_NS
+            ) * tuning.PART_NS
+        over = newest + 1 + MINUTE_S * SECOND_NS if finish else newest - tuning.LATE_NS
         progress.minute_ns = self._fill(run_id, MINUTE_S, progress.minute_ns, over)
         over = progress.minute_ns + (HOUR_S * SECOND_NS if finish else 0)
         progress.hour_ns = self._fill(run_id, HOUR_S, progress.hour_ns, over)
@@ -208,7 +204,7 @@ class TierKeeper:
         length = span * SECOND_NS
         end = first + max(0, (over - first) // length) * length
         while first < end:
-            stop = min(end, first + _STRETCH_NS)
+            stop = min(end, first + tuning.PART_NS)
             groups = aggregate(self._store.connection, run_id, span, first, stop)
             if groups is not None:
                 plan = Plan()
@@ -232,7 +228,7 @@ class TierKeeper:
 
     def _purge_hourly(self) -> None:
         """Purge by age once an hour of the rows' time; checking every run each second would cost too much."""
-        hours = {run_id: (self._newest(run_id, 0) or 0) // _STRETCH_NS for run_id in self._runs}
+        hours = {run_id: (self._newest(run_id, 0) or 0) // tuning.PART_NS for run_id in self._runs}
         if hours != self._purged_at:
             self._purge_old()
             self._purge_logs()
@@ -251,7 +247,7 @@ class TierKeeper:
         bounded = [(span, keep_s) for span, keep_s in tiers if isfinite(keep_s)]
         for part, now_ns in _ages(self._store.connection):
             for span, keep_s in bounded:
-                before = ((now_ns - round(keep_s * 1e9)) // _STRETCH_NS) * _STRETCH_NS
+                before = ((now_ns - round(keep_s * 1e9)) // tuning.PART_NS) * tuning.PART_NS
                 self._purge_before(part.seq, span, min(before, self._aggregated(part.seq, span, before)))
 
     def _purge_before(self, run_id: int, span: int, before: int) -> None:
@@ -264,7 +260,7 @@ class TierKeeper:
         progress = self._runs.get(run_id)
         if progress is None or span == HOUR_S:
             return before
-        return progress.hour_ns if span == MINUTE_S else (progress.minute_ns // _STRETCH_NS) * _STRETCH_NS
+        return progress.hour_ns if span == MINUTE_S else progress.minute_ns // tuning.PART_NS * tuning.PART_NS
 
     def _sent(self) -> int:
         """Return the newest hop that every consumer has taken; a large number without consumers."""
@@ -280,7 +276,7 @@ class TierKeeper:
             if victim is None or self._store.hurried or self.used_bytes() <= 0.9 * self._keep.max_bytes:
                 return
             run_id, span, oldest = victim
-            self._purge(run_id, span, (oldest // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)
+            self._purge(run_id, span, (oldest // tuning.PART_NS + 1) * tuning.PART_NS, 2**62)
 
     def make_room(self) -> None:
         """Drop the oldest hour of rows unless the file has free pages already; for a full disk."""
@@ -288,7 +284,7 @@ class TierKeeper:
             return
         victim = self._oldest_anywhere()
         if victim is not None:
-            self._purge(victim[0], victim[1], (victim[2] // _STRETCH_NS + 1) * _STRETCH_NS, 2**62)
+            self._purge(victim[0], victim[1], (victim[2] // tuning.PART_NS + 1) * tuning.PART_NS, 2**62)
 
     def used_bytes(self) -> int:
         """Return what the rows take: the pages of the file that are not free."""
@@ -306,7 +302,7 @@ class TierKeeper:
                 (oldest - now_ns, part.seq, oldest)
                 for part, now_ns in ages
                 if (oldest := self._oldest(part.seq, span)) is not None
-                and oldest // _STRETCH_NS < now_ns // _STRETCH_NS
+                and oldest // tuning.PART_NS < now_ns // tuning.PART_NS
             ]
             if found:
                 _, run_id, oldest = min(found)

@@ -46,13 +46,13 @@ from agent.storage.tables.records import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows, run_plan
 from agent.storage.tables.shelves import Shelf
-from agent.storage.tuning import CELLS_A_CHECKPOINT, COMMITS_A_CHECKPOINT, LAG_MEMORY_NS, WAL_BOUND
+from agent.storage.tuning import CELLS_A_CHECKPOINT, COMMITS_A_CHECKPOINT, LAG_MEMORY_NS, SPILL_BYTES
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
 from agent.types import AlarmTransition, Learnt
 
-_FRAMES_BEFORE_SPILL = WAL_BOUND * 5 // 8 // FRAME_BYTES
+_FRAMES_BEFORE_SPILL = SPILL_BYTES // FRAME_BYTES
 _FOR_EVER = Retention(float("inf"), float("inf"), float("inf"), float("inf"))
 
 

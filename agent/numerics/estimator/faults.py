@@ -15,9 +15,9 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.channels import ChannelTest, Contest, Fault
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.noise.state import Noise
-from agent.numerics.inference.noise.tuning import ACTIVE_NODES
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.columns import Window
+from agent.numerics.inference.tuning import ACTIVE_NODES
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import BoolArray, FloatArray, IntArray, Reason
 

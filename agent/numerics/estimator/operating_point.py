@@ -10,9 +10,9 @@ import numpy as np
 
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise.lines import between
-from agent.numerics.inference.noise.tuning import ACTIVE_NODES, SURE
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.sources import Source
+from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import CURVED, Rig, Sampled, delays_of, sampled
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push

@@ -25,18 +25,13 @@ from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.columns import Regressor, Window
+from agent.numerics.inference.tuning import FLAT, LEAST_FACTOR, RESTS_SAMPLES, RESTS_SD
 from agent.numerics.model.uncertain import Rig
 from agent.types import ComplexArray, FloatArray
 
 Kind = Literal["offset", "gain", "delay", "stood"]
 Late = Callable[[int, int], Window | None]
 """(channel, lag) -> window with a channel's readings moved back by so many samples; None where not whole"""
-RESTS_SD, RESTS_SAMPLES = 0.3, 0.6
-"""Sds of an offset or a gain, samples of a delay, below which what is left of it is not mended further."""
-FLAT = 1e-6
-"""Prior precision of a free parameter: within a thousand times itself."""
-LEAST_FACTOR = 1e-9
-"""A gain that would mend a reading by less than this has no reading left."""
 
 
 @dataclass(frozen=True, slots=True)

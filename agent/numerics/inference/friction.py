@@ -13,11 +13,9 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response
+from agent.numerics.inference.tuning import UNSEEN
 from agent.numerics.model.uncertain import Rubbing
 from agent.types import ComplexArray, FloatArray
-
-UNSEEN = 1e-9
-"""Share of a column that must be left beside the model's own for it to have digits."""
 
 
 @dataclass(frozen=True, slots=True)

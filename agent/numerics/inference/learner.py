@@ -23,14 +23,9 @@ from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, blo
 from agent.numerics.inference.spectral.algebra import inverse, quadratic
 from agent.numerics.inference.spectral.columns import Regressor, Window
 from agent.numerics.inference.spectral.sources import sources_of
+from agent.numerics.inference.tuning import FIRM, NOISE_PASS
 from agent.numerics.model.uncertain import Rig
 from agent.types import FloatArray
-
-FIRM = 1e6
-"""Times as many degrees of freedom behind the level of each bin as were seen: one window moves none."""
-
-NOISE_PASS = 2
-"""What learning the noise of a window costs, in evaluations of the model."""
 
 
 class Learner:

@@ -17,7 +17,7 @@ from agent.numerics.inference.spectral.covariance import Cells, HighPower, inver
 from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source, directions
-from agent.numerics.inference.spectral.tuning import ALL_BINS, MOST_BINS
+from agent.numerics.inference.tuning import ALL_BINS, MOST_BINS
 from agent.numerics.model.uncertain import Rig, delays_of, sampled, unit_of
 from agent.numerics.preprocessing.rows import rows_with
 from agent.types import ComplexArray, FloatArray, IntArray

@@ -3,12 +3,10 @@
 import numpy as np
 from scipy.special import ndtr
 
-from agent.numerics.inference.tuning import STANDING_WEIGHT
+from agent.numerics.inference.tuning import LEAST_WEIGHT, STANDING_WEIGHT
 from agent.types import FloatArray
 
-LEAST_WEIGHT = 1e-4
-"""Components below this weight do not move a 2.5 % quantile."""
-NORMAL_975 = 1.959963984540054
+NORMAL_975 = 1.959963984540054  # fixed by statistics
 
 
 def interval95(weight: FloatArray, mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -109,3 +109,83 @@ AS_LARGE = 0.3
 """Share of the inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
 LARGER = 0.9
 """The same where a first window waits a quarter of a window more, in which a channel can show it is late."""
+
+# noise
+SIGMA_WALK = 0.1
+"""Prior sd of log σ's random walk from window to window. Needed by: jitter, whose noise grows with speed."""
+SIGMA_WALK_DOF = 4.0
+"""Windows this prior counts for; what windows then show falls to 0.03 on a steady rig. Needed by: jitter."""
+LEVEL_DOF = 30.0
+"""Prior degrees of freedom of each frequency bin's noise level (scaled inverse χ²). Needed by: 50 Hz hum."""
+LINE_POWER = 16.0
+"""Power of a bin, in that of its neighbours, from which it is a line: chance e^-16. Needed by: 50 Hz hum."""
+LINE_NEIGHBOURS = 25
+"""Bins on either side of a line that it is held against."""
+LINE_CYCLES = 8
+"""Cycles a window that a line has at least: what is slower is the work of forces."""
+FORGET = 0.97
+"""Factor a window on the log-weights of force and colour intensities. Needed by: forces that begin."""
+SHAKEN = 0.1
+"""The same for a window that only other noise explains: sources are looked for as in a first window."""
+UNSETTLED = 0.05
+"""Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
+LARGE_NODES = 20.0
+"""An intensity beyond this many first nodes is followed so: a weak one moves by chance. Cost only."""
+SURE = 3.0
+"""Log-weight of "absent" below the best node from which an intensity that changes is followed. Cost only."""
+NODES = 44
+"""Nodes of the grid of each intensity; fewer stop short of the forces of EMPS. Needed by: EMPS."""
+NODE_RATIO = 1.6
+"""Ratio of adjacent nodes: a quarter decade, finer than a window tells intensities apart (log sd ≥ 0.3)."""
+FIRST_NODE = 0.1
+"""First node as a share of the intensity that equals the white sensor noise where the source is strongest."""
+LOWEST_LOG_WEIGHT = -30.0
+"""Floor of carried log-weights: the chance that an intensity jumps anywhere in a window is e^-30."""
+ROTATION = 40
+"""Intensities scanned in a window besides the active ones. Cost only: every one has its turn."""
+ACTIVE_NODES = 5.0
+"""An intensity beyond this many first nodes is scanned in every window."""
+PRIOR_ABSENT = 0.5
+"""Prior probability that a source of noise is absent. Needed by: right models near the bound."""
+
+# spectral
+SENSOR_CORNERS = (0.05, 0.01, 0.002)
+"""Corners of coloured sensor noise, shares of the sampling rate. Needed by: AR(0.95) sensor noise."""
+FORCE_CORNER_OF_SLOWEST = 0.5
+"""Lowest corner of slow unknown forces, share of the slowest mode's frequency. Needed by: AR(0.99) forces."""
+FORCE_CORNERS = (1.0, 4.0)
+"""Corners of slow forces, in units of the lowest: one alone fits no other. Needed by: AR(0.99) forces."""
+MOST_BINS = 2048
+"""Most bins kept with all columns, and most bins above the cut whose residual power is used."""
+HIGH_GROUPS = 16
+"""Groups of bins above the cut: noise is taken as flat within each (a twelfth of a decade)."""
+ALL_BINS = 24
+"""Windows with fewer bins than this keep them all."""
+
+# channels, friction, learner, mixture
+RESTS_SD, RESTS_SAMPLES = 0.3, 0.6
+"""Sds of an offset or a gain, samples of a delay, below which what is left of it is not mended further."""
+FLAT = 1e-6  # prior precision of a free parameter: within a thousand times itself
+LEAST_FACTOR = 1e-9  # a gain that would mend a reading by less than this has no reading left
+UNSEEN = 1e-9  # share of a column that must be left beside the model's own for it to have digits
+FIRM = 1e6
+"""Times as many degrees of freedom behind the level of each bin as were seen: one window moves none."""
+NOISE_PASS = 2  # what learning the noise of a window costs, in evaluations of the model
+LEAST_WEIGHT = 1e-4  # components below this weight do not move a 2.5 % quantile
+
+# noise/after_window, intensities, lines, restricted_likelihood
+FIRST_STEPS = 12  # most scoring steps of log σ in a first window, by 1 at most each
+DROWNED = 1e-7  # share of the residual's power that must be left for a rank-one change of S to have digits
+FAR_GROWTH = 1e6
+"""Growth of S along a source beyond which it is inverted anew: a rank-one change leaves too few digits."""
+FREE_BINS = 3  # bins of a rig with a free mass that do not count for where a force shows
+LEAKAGE_ROUNDS = 4
+"""Times that lines are looked for: beside a strong one weaker bins of its leakage stand out next."""
+RESTING = 0.01  # step of log σ at which scoring rests
+
+# spectral/algebra, response
+JITTER = 1e-13  # added to unit diagonals: a direction that the data do not show at all stays finite
+ON_A_POLE = 1e-8
+"""Bins nearer than this to a pole are left out: their response has too few digits. Measured, noise-free:
+entries of random systems with a pole at 1 come out to 4e-6 at 1e-9, to 3e-11 from here on."""
+FREE_SHARE = 1e-6  # singular values of I − A^W below this share of the largest are those of free masses

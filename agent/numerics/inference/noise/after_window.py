@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.numerics.inference.noise import tuning
+from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.intensities import Scan, first_nodes, scanned
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.spectral.columns import Regression
 from agent.numerics.inference.spectral.covariance import Cells
 from agent.numerics.inference.spectral.sources import Source
+from agent.numerics.inference.tuning import FIRST_STEPS
 from agent.types import FloatArray, IntArray
-
-FIRST_STEPS = 12
-"""Most scoring steps of log σ in a first window, by 1 at most each."""
 
 
 def learn(  # noqa: PLR0913, PLR0917

@@ -2,22 +2,16 @@
 
 import numpy as np
 
-from agent.numerics.inference.noise import tuning
+from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.covariance import Cells
+from agent.numerics.inference.tuning import DROWNED, FAR_GROWTH, FREE_BINS
 from agent.types import FloatArray, IntArray
-
-DROWNED = 1e-7
-"""Share of the residual's power that must be left for a rank-one change of S to have digits."""
 
 PRIOR_LOG = np.zeros(tuning.NODES)
 PRIOR_LOG[0] = np.log((tuning.NODES - 1) * tuning.PRIOR_ABSENT / (1 - tuning.PRIOR_ABSENT))
 """(G,) log prior of an intensity's nodes: absent, which the first node stands for, or anything."""
-FAR_GROWTH = 1e6
-"""Growth of S along a source beyond which it is inverted anew: a rank-one change leaves too few digits."""
-FREE_BINS = 3
-"""Bins of a rig with a free mass that do not count for where a force shows."""
 
 
 def scanned(

@@ -8,14 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.numerics.inference.noise import tuning
+from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.spectral.columns import Regression
 from agent.numerics.inference.spectral.covariance import Cells
+from agent.numerics.inference.tuning import LEAKAGE_ROUNDS
 from agent.types import FloatArray, IntArray
 
-LEAKAGE_ROUNDS = 4
-"""Times that lines are looked for: beside a strong one weaker bins of its leakage stand out next."""
 MEDIAN = float(np.log(2))
 """Median of a bin's power whose mean is 1."""
 

@@ -10,10 +10,8 @@ from agent.numerics.inference.spectral.columns import Layout, Regression
 from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of, log_determinants
 from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.sources import Source
+from agent.numerics.inference.tuning import RESTING
 from agent.types import ComplexArray, FloatArray
-
-RESTING = 0.01
-"""Step of log σ at which scoring rests."""
 
 
 @dataclass(frozen=True, slots=True)

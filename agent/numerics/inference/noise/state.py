@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.inference.noise import tuning
+from agent.numerics.inference import tuning
 from agent.types import FloatArray
 
 

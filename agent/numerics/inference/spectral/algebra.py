@@ -4,10 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from agent.numerics.inference.tuning import JITTER
 from agent.types import FloatArray
-
-JITTER = 1e-13
-"""Added to unit diagonals: a direction that the data do not show at all stays finite."""
 
 
 @lru_cache

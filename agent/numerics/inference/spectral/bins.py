@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.inference.spectral.tuning import HIGH_GROUPS, MOST_BINS
+from agent.numerics.inference.tuning import HIGH_GROUPS, MOST_BINS
 from agent.types import ComplexArray, FloatArray, IntArray
 
 

@@ -10,7 +10,7 @@ from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source
 from agent.types import FloatArray
 
-LEAST_VARIANCE = 1e-300
+LEAST_VARIANCE = 1e-300  # fixed by double precision
 
 
 class Ends:

@@ -24,17 +24,9 @@ from functools import cached_property
 import numpy as np
 
 from agent.numerics.inference.spectral.bins import Bins
+from agent.numerics.inference.tuning import FREE_SHARE, ON_A_POLE
 from agent.numerics.model.uncertain import Sampled
 from agent.types import ComplexArray, FloatArray
-
-ON_A_POLE = 1e-8
-"""Bins nearer than this to a pole are left out: their response has too few digits.
-
-Measured, noise-free: entries of random systems with a pole at 1 come out to 4e-6 at 1e-9, to 3e-11 from here
-on.
-"""
-FREE_SHARE = 1e-6
-"""Singular values of I − A^W below this share of the largest are those of free masses."""
 
 
 def end_states(A: FloatArray, w: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from agent.numerics.inference.spectral.response import Response
-from agent.numerics.inference.spectral.tuning import FORCE_CORNER_OF_SLOWEST, FORCE_CORNERS, SENSOR_CORNERS
+from agent.numerics.inference.tuning import FORCE_CORNER_OF_SLOWEST, FORCE_CORNERS, SENSOR_CORNERS
 from agent.numerics.model.uncertain import Rig, sampled
 from agent.types import ComplexArray, FloatArray
 

@@ -14,17 +14,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agent.numerics.window.filtering.constants import UNSEEN
 from agent.numerics.window.filtering.summary import Summary
 from agent.numerics.window.jump import Jumps, LostRight
 from agent.numerics.window.lost import Events, Lost
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import Asked, Windowed
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
+from agent.numerics.window.tuning import UNSEEN
 from agent.types import FloatArray, IntArray
 
 UNSOLVED = -1
-"""In the place of how many readings a window lost."""
+"""Fixed by its meaning: in the place of how many readings a window lost."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,10 +15,10 @@ import numpy as np
 
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.filtering.basis import Basis
-from agent.numerics.window.filtering.constants import BOUNDARIES, GROUP, SCANS, SINGULAR
 from agent.numerics.window.filtering.products import row_products
 from agent.numerics.window.filtering.summary import Summary
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
+from agent.numerics.window.tuning import BOUNDARIES, GROUP, SCANS, SINGULAR
 from agent.types import FloatArray, IntArray
 
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.window.filtering.constants import MOST_EVENTS
 from agent.numerics.window.filtering.filters import System
 from agent.numerics.window.operators import Operators
+from agent.numerics.window.tuning import MOST_EVENTS
 from agent.types import BoolArray, FloatArray, IntArray
 
 Taps = Sequence[Sequence[tuple[int, int, float]]]

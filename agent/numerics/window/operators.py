@@ -8,7 +8,6 @@ import numpy as np
 from agent.numerics.model.riccati import spectral_radius
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.filtering.basis import balanced_basis
-from agent.numerics.window.filtering.constants import CHUNK, ROWS, STABLE
 from agent.numerics.window.filtering.filters import Filters, filter_system
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import NoiseModel, Push, predictor_of
@@ -16,6 +15,7 @@ from agent.numerics.window.filtering.products import row_products
 from agent.numerics.window.filtering.summary import Summary
 from agent.numerics.window.jump import JumpScan, boundaries, scanned_rows
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
+from agent.numerics.window.tuning import CHUNK, ROWS, STABLE
 from agent.types import FloatArray
 
 

@@ -23,11 +23,11 @@ import numpy as np
 
 from agent.numerics.model.riccati import Predictor
 from agent.numerics.window.filtering.basis import Basis
-from agent.numerics.window.filtering.constants import UNSEEN
 from agent.numerics.window.filtering.filters import Sizes
 from agent.numerics.window.filtering.noise import Realisation
 from agent.numerics.window.filtering.products import row_products
 from agent.numerics.window.filtering.summary import Summary
+from agent.numerics.window.tuning import UNSEEN
 from agent.types import FloatArray
 
 

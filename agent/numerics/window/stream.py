@@ -6,7 +6,6 @@ import numpy as np
 
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.eliminated import Scanning, Solving
-from agent.numerics.window.filtering.constants import BATCH, RENEWED, SPARE
 from agent.numerics.window.filtering.course import Course
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import NoiseModel, Push
@@ -18,6 +17,7 @@ from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import BankRows, Windowed, joined
 from agent.numerics.window.solve import Solved, Starts
 from agent.numerics.window.tail import Tail
+from agent.numerics.window.tuning import BATCH, RENEWED, SPARE
 from agent.types import FloatArray, IntArray
 
 

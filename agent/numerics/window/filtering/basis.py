@@ -14,10 +14,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import Predictor
-from agent.numerics.window.filtering.constants import NEGLIGIBLE
 from agent.numerics.window.filtering.filters import System, whitening
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import Realisation
+from agent.numerics.window.tuning import NEGLIGIBLE
 from agent.types import FloatArray
 
 

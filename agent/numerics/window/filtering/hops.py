@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.window.filtering.constants import CELL_TARGET
+from agent.numerics.window.tuning import CELL_TARGET
 from agent.types import IntArray
 
 

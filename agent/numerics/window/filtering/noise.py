@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import NoSteadyStateError, Predictor, spectral_radius, steady_predictor
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.window.filtering.constants import FORGOTTEN_SAMPLES, STABLE
+from agent.numerics.window.tuning import FORGOTTEN_SAMPLES, STABLE
 from agent.types import FloatArray
 
 

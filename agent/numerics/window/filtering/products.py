@@ -7,7 +7,7 @@ last ones filled up, every row takes the same way.
 
 import numpy as np
 
-from agent.numerics.window.filtering.constants import ROWS
+from agent.numerics.window.tuning import ROWS
 from agent.types import FloatArray
 
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.window.filtering.constants import GROUP
 from agent.numerics.window.filtering.products import row_products
+from agent.numerics.window.tuning import GROUP
 from agent.types import FloatArray
 
 

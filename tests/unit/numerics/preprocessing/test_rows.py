@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.numerics.preprocessing.rows import steps_from
-from agent.numerics.window.filtering.constants import ROWS
 from agent.numerics.window.filtering.products import row_products
+from agent.numerics.window.tuning import ROWS
 
 NUMBERS = st.integers(-(2**62), 2**62)
 

@@ -17,7 +17,7 @@ PACKAGE_DEPTH = {"agent/numerics": 3, "agent": 2, "drivers": 2, "sim_bus": 1}
 """Folders of a package's path below each of these; the numerics' rooms are packages to a reader."""
 FIXED = re.compile(r"fixed by \w+", re.IGNORECASE)
 """Says who has fixed a number that is not tuned: a standard, a format, an operating system, a definition."""
-UNSORTED = ("agent/numerics/estimator", "agent/prognosis")
+UNSORTED = ("agent/prognosis",)
 """Packages whose numbers are not sorted yet."""
 
 

@@ -8,7 +8,7 @@ from scipy.signal import cont2discrete
 
 from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import estimator_settings
-from agent.numerics.estimator.budget import budget_of
+from agent.numerics.estimator.schedule import budget_of
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.fitting.fit import Problem, WindowFit, fit_window
 from agent.numerics.inference.spectral.columns import window_of

@@ -5,22 +5,13 @@ import numpy as np
 from agent.numerics.estimator.operating_point import OperatingPoint, operating_point, taps_of
 from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.estimator.tuning import DULLED, UNITS_GROWTH, UNITS_LEAST, UNITS_MOST, UNITS_WAIT
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.model.riccati import NoSteadyStateError
 from agent.numerics.window.lost import Lost
 from agent.numerics.window.rows import BankRows
 from agent.numerics.window.stream import Stream
-
-UNITS_LEAST = 32
-UNITS_MOST = 2560
-UNITS_GROWTH = 4
-"""Hops that the bank is given at once: few after the operating point moved, which throws the rest away, then
-so many times more; a call costs as much as 125 hops."""
-UNITS_WAIT = 320
-"""Hops that wait until the window before them was learnt from: of two or three, one moves the point."""
-DULLED = 1.05
-"""Growth of the sharpest sd seen each time the operating point moves: it follows what the machine does."""
 
 
 class Bank:

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.estimator.tuning import CONFIRMED_SD
 from agent.types import BoolArray, FloatArray, IntArray
-
-CONFIRMED_SD = 4.0
-"""Sds within which the motion must find a suspect reading to confirm it."""
 
 Place = tuple[int, int]
 """Sample and channel of a reading."""

@@ -13,14 +13,23 @@ from dataclasses import replace
 import numpy as np
 
 from agent.numerics.estimator.bank import Bank
-from agent.numerics.estimator.budget import LONGEST, samples_an_evaluation
 from agent.numerics.estimator.doubts import Doubts
-from agent.numerics.estimator.faults import WHOLE, Faults
-from agent.numerics.estimator.memory import LEAST_WINDOWS, from_text, to_text
+from agent.numerics.estimator.faults import Faults
+from agent.numerics.estimator.memory import from_text, to_text
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.schedule import Disturbance, Schedule
+from agent.numerics.estimator.schedule import Disturbance, Schedule, samples_an_evaluation
 from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.estimator.tuning import (
+    LEAST_WINDOWS,
+    LONGEST,
+    MOVED_LOG_SD,
+    MOVED_SD,
+    MOVING,
+    REFILLS,
+    VERDICT_WINDOWS,
+    WHOLE,
+)
 from agent.numerics.fitting.work import Budget
 from agent.numerics.inference import tuning
 from agent.numerics.inference.learner import Learner
@@ -28,17 +37,6 @@ from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.columns import Window, refilled
 from agent.numerics.inference.verdicts import Belief, beliefs
 from agent.types import BoolArray, FloatArray
-
-VERDICT_WINDOWS = 3
-"""Windows to be learnt from before verdicts are given: the first tell of noise and constants at once."""
-REFILLS = 2
-"""Times that suspect inputs are put where the motion asks for them before a window is solved."""
-MOVING = 8
-"""What moving the bank costs, in evaluations."""
-MOVED_SD = 0.3
-"""Difference of learner and bank, in sds, from which the bank moves: twice what omitted bins may make."""
-MOVED_LOG_SD = 0.1
-"""The same for the logarithm of a sd."""
 
 
 class Explainer:

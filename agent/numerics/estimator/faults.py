@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
+from agent.numerics.estimator.tuning import AGREES_SD, DOUBTS, MOST_RESTS, NOISY, RESTS, WHOLE
 from agent.numerics.inference import tuning
 from agent.numerics.inference.channels import ChannelTest, Contest, Fault
 from agent.numerics.inference.learner import Learner
@@ -20,17 +21,6 @@ from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.inference.tuning import ACTIVE_NODES
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import BoolArray, FloatArray, IntArray, Reason
-
-WHOLE = 0.8
-"""Share of a window that lies behind the onset of what it is to show."""
-AGREES_SD = 3.5
-"""Sds within which a row agrees with what held before the fault."""
-DOUBTS = 2
-"""Tries in a row that do not confirm a fault, after which it is withdrawn."""
-RESTS, MOST_RESTS = 4, 1000
-"""Rests of an input that last a window's share of 1 / RESTS are remembered, so many of them at the most."""
-NOISY = 2.0
-"""Times what the wire's resolution alone causes: a sensor with so much noise does not repeat itself."""
 
 
 @dataclass(frozen=True, slots=True)

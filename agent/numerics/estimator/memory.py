@@ -10,9 +10,7 @@ from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.scatter import Scatter
 
-VERSION = 1
-LEAST_WINDOWS = 4
-"""Windows that must have been learnt from before it is worth keeping."""
+VERSION = 1  # fixed by the memory's form
 
 
 def to_text(known: Knowledge) -> str:

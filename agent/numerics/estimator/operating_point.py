@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.numerics.estimator.tuning import LINE_LEVEL, MOST_LINES, PRESENT_NODES
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise.lines import between
 from agent.numerics.inference.posterior import Knowledge, Posterior
@@ -17,13 +18,6 @@ from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import CURVED, Rig, Sampled, delays_of, sampled
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
 from agent.types import FloatArray, IntArray
-
-PRESENT_NODES = 2.0
-"""Intensities below this many first nodes are taken as absent."""
-LINE_LEVEL = 8.0
-"""Bins whose noise level is beyond this are lines."""
-MOST_LINES = 4
-"""Lines followed, the strongest: each costs two states a channel."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,29 +7,22 @@ import numpy as np
 
 from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.operating_point import OperatingPoint
+from agent.numerics.estimator.tuning import (
+    EVEN,
+    FAR_CURVATURE,
+    FAR_SD,
+    FAR_SHARPEST,
+    FARTHEST_SD,
+    FLAT,
+    POORER,
+    SINGULAR,
+)
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise.state import chance, louder
 from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
 from agent.types import BoolArray, FloatArray, IntArray
-
-FAR_SD = 3.5
-"""Sds from the point that chance alone does not reach in some hundred windows."""
-FAR_CURVATURE = 0.1
-"""Share of the sd that the neglected second-order term of a row may be."""
-FAR_SHARPEST = 0.25
-"""Sd, as a share of the parameter, beyond which a window says too little of it to move the point."""
-FARTHEST_SD = 5.0
-"""The same where sharper or longer windows placed the point: what chance does in a day does not move it."""
-POORER = 2.0
-"""Times the sd of the sharpest windows that makes a window poorer than what placed the point."""
-EVEN = 0.1
-"""Skewness of an interval, in sds, that is not kept."""
-FLAT = 1e-6
-"""Prior precision of a parameter in units of its size: within a thousand times itself."""
-SINGULAR = 1e-13
-"""Added to unit diagonals: a parameter that nothing shows has no sd to speak of, and the others theirs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.numerics.estimator.doubts import Doubts
+from agent.numerics.estimator.tuning import PLACES, SPARE
 from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.model.uncertain import Rig
@@ -12,11 +13,6 @@ from agent.numerics.preprocessing.bridge import Bridge, bridge_over
 from agent.numerics.preprocessing.rows import rows_with
 from agent.numerics.window.lost import Lost
 from agent.types import BoolArray, FloatArray, IntArray
-
-SPARE = 8192
-"""Samples beyond those kept that may wait before the oldest are let go."""
-PLACES = 8
-"""Samples of a window that are looked at before all of them are."""
 
 
 class Record:

@@ -1,25 +1,16 @@
-"""When a window is learnt from, and when a broken one is retried; counted in samples, so replay agrees."""
+"""When a window is learnt from, when a broken one is retried, and how much may be computed beside the rows.
+
+All is counted in samples and in evaluations of the model on a window, so replay agrees. One evaluation is one
+linearisation or one trial of a step; learning the noise counts as two. Solves that converge take three to ten
+of them, those that do not up to a hundred and fifty: what is bounded is the work and not the number of tries.
+N samples pay for BURST + FIRST + N / `samples_an_evaluation` evaluations, and what was begun last for at most
+LONGEST beyond that.
+"""
 
 from dataclasses import dataclass
 
-EAGER = (6, 32)
-"""Windows, at least and at the most, learnt from one after another before learning becomes seldom."""
-EAGER_SAMPLES = 64_000
-"""Samples in them otherwise: long windows say more each."""
-GROWTH = 2.0
-"""Ratio of the stretches between windows learnt from afterwards."""
-SELDOM, SELDOM_SAMPLES = 256, 256_000
-"""Windows between two that are learnt from, at the most, or so many samples where windows are short."""
-LATEST = 5
-"""Doublings of the time between tries at windows that cannot be solved: eight windows, at the most."""
-FOLLOWED = 8
-"""Windows learnt from one after another where the noise changed: of slow forces each says but little."""
-TRIES = 8
-"""Tries a window length to solve windows that are broken."""
-AGAIN = 3
-"""Windows within which parameters that change twice are rather pushed by forces that nobody measures."""
-LASTS = 1.5
-"""Windows that one change is in the way at the most; what lasts longer may be forces that began."""
+from agent.numerics.estimator import tuning
+from agent.numerics.fitting.work import Budget
 
 
 @dataclass(slots=True)
@@ -35,15 +26,15 @@ class Schedule:
     def done(self, index: int) -> None:
         """Note that the window ending at sample `index` was learnt from."""
         self.learnt, self.tried, self.failed = self.learnt + 1, index, 0
-        most = max(SELDOM, SELDOM_SAMPLES // self.window)
-        stretch = min(GROWTH ** max(0, self.learnt - self._eager), most)
+        most = max(tuning.SELDOM, tuning.SELDOM_SAMPLES // self.window)
+        stretch = min(tuning.GROWTH ** max(0, self.learnt - self._eager), most)
         self.due = index + self.window * int(stretch)
 
     def later(self, index: int, *, failed: bool = False) -> None:
         """Try again a quarter of a window on; where windows cannot be solved, twice as long after each."""
         self.failed = self.failed + 1 if failed else 0
         self.tried = index
-        self.due = index + max(1, self.window // 4) * 2 ** min(max(self.failed - 1, 0), LATEST)
+        self.due = index + max(1, self.window // 4) * 2 ** min(max(self.failed - 1, 0), tuning.LATEST)
 
     def skip(self, index: int) -> None:
         """Learn from no window that reaches back to sample `index`: parameters moved there."""
@@ -52,13 +43,13 @@ class Schedule:
 
     def follow(self, index: int) -> None:
         """Learn soon: something changed."""
-        self.learnt = min(self.learnt, max(self._eager - FOLLOWED, 0))
+        self.learnt = min(self.learnt, max(self._eager - tuning.FOLLOWED, 0))
         self.due = index + self.window
 
     @property
     def _eager(self) -> int:
-        least, most = EAGER
-        return min(max(EAGER_SAMPLES // self.window, least), most)
+        least, most = tuning.EAGER
+        return min(max(tuning.EAGER_SAMPLES // self.window, least), most)
 
 
 @dataclass(slots=True)
@@ -78,11 +69,11 @@ class Disturbance:
     def is_more_than_a_change(self, index: int, window: int) -> bool:
         """Note that other parameters fit; return whether too slowly for one change, or too soon after one."""
         before, self.changed = self.changed, index
-        return index - before < AGAIN * window or index - (self.onset or index) > LASTS * window
+        return index - before < tuning.AGAIN * window or index - (self.onset or index) > tuning.LASTS * window
 
     def tried(self, index: int, window: int) -> None:
         """Note a try at sample `index`."""
-        self.again = index + max(1, window // TRIES)
+        self.again = index + max(1, window // tuning.TRIES)
 
     def wait(self, until: int) -> None:
         """Let sample `until` pass before the next try."""
@@ -96,3 +87,17 @@ class Disturbance:
         """Note a row that holds."""
         if self.onset is not None:
             self.onset, self.ended = None, index
+
+
+def samples_an_evaluation(window: int, period_s: float) -> float:
+    """Return the samples, period_s apart, that pay for one evaluation of a window of so many samples."""
+    return max(
+        window / tuning.EVALUATIONS_A_WINDOW,
+        min(tuning.SAMPLES_AN_EVALUATION, tuning.SECONDS_AN_EVALUATION / period_s),
+    )
+
+
+def budget_of(window: int, period_s: float) -> Budget:
+    """Return the budget of an estimator whose windows have so many samples, period_s apart."""
+    each = samples_an_evaluation(window, period_s)
+    return Budget(tuning.BURST * each, 1.0, once=tuning.FIRST * each)

@@ -13,26 +13,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.estimator.budget import budget_of
 from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.explainer import Explainer
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
 from agent.numerics.estimator.operating_point import OperatingPoint, taps_of
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.estimator.reading import FAR_SD, FARTHEST_SD, Reading, read
+from agent.numerics.estimator.reading import Reading, read
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.schedule import TRIES
+from agent.numerics.estimator.schedule import budget_of
 from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.estimator.tuning import FAR_SD, FARTHEST_SD, MOST_LOST, RETRY, TRIES
 from agent.numerics.estimator.windows import chosen, clean
 from agent.numerics.fitting.work import Budget
 from agent.numerics.inference import tuning
 from agent.numerics.window.rows import BankRows, Windowed
 from agent.types import BoolArray, FloatArray, IntArray, Reason
-
-RETRY = 4
-"""Tries a window length to find a first window that fits."""
-MOST_LOST = 0.1
-"""Share of a window's samples that may lack readings; beyond it a window says too little for its cost."""
 
 
 @dataclass(slots=True)

@@ -6,8 +6,8 @@ import numpy as np
 
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.config import load
-from agent.numerics.estimator.budget import BURST, FIRST, LONGEST, SAMPLES_AN_EVALUATION
 from agent.numerics.estimator.sliding import SlidingEstimator
+from agent.numerics.estimator.tuning import BURST, FIRST, LONGEST, SAMPLES_AN_EVALUATION
 from agent.runtime.pipeline import Pipeline
 from drivers.port import SampleBlock
 from tests.scenario.live import example

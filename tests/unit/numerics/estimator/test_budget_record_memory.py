@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
-from agent.numerics.estimator.budget import (
-    BURST,
-    EVALUATIONS_A_WINDOW,
-    FIRST,
-    budget_of,
-    samples_an_evaluation,
-)
 from agent.numerics.estimator.memory import from_text, to_text
-from agent.numerics.estimator.record import SPARE, Record
+from agent.numerics.estimator.record import Record
+from agent.numerics.estimator.schedule import budget_of, samples_an_evaluation
+from agent.numerics.estimator.tuning import BURST, EVALUATIONS_A_WINDOW, FIRST, SPARE
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import learner_of, record
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.numerics.estimator.schedule import EAGER, EAGER_SAMPLES, SELDOM, SELDOM_SAMPLES, Schedule
+from agent.numerics.estimator.schedule import Schedule
+from agent.numerics.estimator.tuning import EAGER, EAGER_SAMPLES, SELDOM, SELDOM_SAMPLES
 
 
 def learnt(window: int, windows: int) -> list[int]:

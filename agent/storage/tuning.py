@@ -69,3 +69,5 @@ COMMITS_A_CHECKPOINT = 300  # commits after which the log is copied into the fil
 CELLS_A_CHECKPOINT = 20_000  # ... or rows in them
 LAG_MEMORY_NS = 5 * 86_400 * 10**9  # five times the longest lag of a machine behind a covariate
 MOST_AHEAD = 4_000_000  # rows that a log and a side file can hold; a note further ahead is none
+MOST_RECENT = 1 << 18
+"""Rows of a run that wait for their minutes in memory: 19 MB, ten minutes of 4 parameters at 100 Hz."""

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from agent.storage.read import queries
+from agent.storage.write import rollups
 from agent.storage.write.retention import Retention, bytes_per_rig_year
 from agent.storage.write.rollups import grouped
 from agent.storage.write.store import Store
 from agent.types import EstimateBatch, Reason, Status
 from agent.units import MINUTE_S
-from tests.storage.rows import START, batch, ledger, run_info, select
+from tests.storage.rows import START, batch, ledger, run_info, select, warming
 
 SECOND = 10**9
 FOR_EVER = float("inf")
@@ -101,6 +102,34 @@ def test_aggregates_do_not_depend_on_when_rows_were_written(path: Path, chunk: i
     whole = select(path, query)
     assert len(whole) == 4 * (90 + 2)
     assert select(path.with_name("pieces.db"), query) == whole
+
+
+def test_minutes_of_rows_at_hand_are_those_of_rows_read_back(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first rows are warming, some windows have no length, and some rows come late."""
+    (rows,) = spaced(5400, 10)
+    rows.window_s[100:200] = np.nan
+    others = [rows.part(slice(*ends)) for ends in ((60, 250), (253, 500), (250, 253), (500, 540))]
+    pieces = [warming(60, hop_ns=10 * SECOND), *others]
+    fill(path, pieces, Retention())
+    monkeypatch.setattr(rollups, "MOST_RECENT", 0)
+    fill(path.with_name("read.db"), pieces, Retention())
+    query = "SELECT * FROM v_tiers WHERE span_s > 0 ORDER BY t_ns, span_s, parameter"
+    at_hand = select(path, query)
+    assert len(at_hand) == 4 * (90 + 2)
+    assert select(path.with_name("read.db"), query) == at_hand
+
+
+def test_minutes_do_not_need_rows_at_hand(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run is read back from where more of its rows wait than may."""
+    (rows,) = spaced(1800, 10)
+    pieces = [rows.part(slice(i, i + 30)) for i in range(0, 180, 30)]
+    fill(path, pieces, Retention())
+    monkeypatch.setattr(rollups, "MOST_RECENT", 130)
+    fill(path.with_name("many.db"), pieces, Retention())
+    query = "SELECT * FROM v_tiers WHERE span_s > 0 ORDER BY t_ns, span_s, parameter"
+    assert select(path.with_name("many.db"), query) == select(path, query)
 
 
 def test_what_the_constants_leave_open_is_not_averaged_away(path: Path) -> None:

@@ -96,6 +96,8 @@ def intake(
     _refuse_values(state, block.values, values, kept & ~sound)
     _count_gaps(state, index[kept & sound])
     values[impossible] = np.nan
+    if kept.all():
+        return index, values, block.t_ns
     return index[kept], values[kept], None if block.t_ns is None else block.t_ns[kept]
 
 

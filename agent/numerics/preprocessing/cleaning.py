@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.bridge import filled, lagrange, runs
-from agent.numerics.preprocessing.rows import columns_with, largest_in, rows_with
+from agent.numerics.preprocessing.rows import columns_with, largest_in, least_of_parts, rows_with
 from agent.numerics.preprocessing.tuning import (
     BLOCK,
     CLEAR,
@@ -85,9 +85,8 @@ class Cleaner:
         self._spike = np.zeros((0, c), dtype=bool)
         self._suspect = np.zeros((0, c), dtype=bool)
         self._decided = 0
-        self._block: FloatArray = np.zeros(
-            (0, c)
-        )  # the block that is not whole yet, with two samples before it
+        # the block that is not whole yet, with two samples before it, (c, samples)
+        self._block: FloatArray = np.zeros((c, 0))
         self._limits: FloatArray = np.zeros((0, c))  # of the samples in _raw
 
     def take(self, v: FloatArray, *, end: bool = False) -> Clean:
@@ -104,38 +103,40 @@ class Cleaner:
         limits = self._limits_of(v)
         missing = np.isnan(v)
         nothing = np.zeros_like(missing)
-        self._raw = np.concatenate([self._raw, v])
-        self._limits = np.concatenate([self._limits, limits])
+        self._raw = np.concatenate([self._raw.T, v.T], axis=1).T
+        self._limits = np.concatenate([self._limits.T, limits.T], axis=1).T
         self._marked = np.concatenate([self._marked, missing])
         self._spike = np.concatenate([self._spike, nothing])
         self._suspect = np.concatenate([self._suspect, nothing])
 
     def _limits_of(self, v: FloatArray) -> FloatArray:
         """Return the largest second difference (N, c) beyond doubt for new samples, by the blocks before."""
-        stream = np.concatenate([self._block, v])
-        before = len(stream) - len(v)
-        whole = max(0, len(stream) - 2) // BLOCK
-        first, second, third = (stream[place : place + whole * BLOCK : THIN] for place in range(3))
-        sizes = np.abs((third - second) - (second - first)).reshape(whole, BLOCK // THIN, v.shape[1])
+        # by channel, whose readings then lie side by side: all of this is several times cheaper so
+        columns = np.concatenate([self._block, v.T], axis=1)
+        before = self._block.shape[1]
+        whole = max(0, before + len(v) - 2) // BLOCK
+        first, second, third = (columns[:, place : place + whole * BLOCK : THIN] for place in range(3))
+        sizes = np.abs((third - second) - (second - first)).reshape(v.shape[1], whole, BLOCK // THIN)
         known = np.concatenate([self._usual, _medians(sizes)])
         usual = np.lib.stride_tricks.sliding_window_view(known, MEMORY, axis=0).max(
             axis=2
         )  # one more than blocks
-        self._usual, self._block = known[-MEMORY:], stream[whole * BLOCK :]
-        block = np.clip((np.arange(len(v)) + before - 2) // BLOCK, 0, whole)
+        self._usual, self._block = known[-MEMORY:], columns[:, whole * BLOCK :]
+        ends = np.append(BLOCK * np.arange(1, whole + 1) + 2 - before, len(v))
         excess = np.where(self._inputs, EXCESS_OF_INPUTS, EXCESS)
-        steps = self._steps(stream[1 : 2 + whole * BLOCK], whole)
-        return np.asarray(np.where(usual < 0, np.inf, excess * usual + STEPS * steps)[block])
+        steps = self._steps(columns[:, 1 : 2 + whole * BLOCK], whole)
+        limits = np.where(usual < 0, np.inf, excess * usual + STEPS * steps)
+        return np.repeat(limits.T, np.diff(ends, prepend=0), axis=1).T
 
-    def _steps(self, stream: FloatArray, whole: int) -> FloatArray:
+    def _steps(self, columns: FloatArray, whole: int) -> FloatArray:
         """Return wire steps (whole + 1, c) before each block and behind the last: the least seen, if unknown.
 
         A channel of text has steps that nobody states; where it rests on one, the next is no spike.
         """
         if self._step.all():
             return np.tile(self._step, (whole + 1, 1))
-        changes = np.abs(stream[1::THIN] - stream[:-1:THIN]).reshape(whole, BLOCK // THIN, len(self._step))
-        least = np.where(changes > 0, changes, np.inf).min(axis=1)
+        changes = np.abs(columns[:, 1::THIN] - columns[:, :-1:THIN])
+        least = least_of_parts(np.where(changes > 0, changes, np.inf), BLOCK // THIN).T
         seen = np.minimum.accumulate(np.vstack([self._seen, least]))
         self._seen = seen[-1]
         return np.asarray(np.where(self._step > 0, self._step, seen))
@@ -204,7 +205,7 @@ class Cleaner:
     def _release(self, *, end: bool) -> Clean:
         """Give away what is settled: decided, and with two readings after each that is missing."""
         stop = self._decided if end else self._settled()
-        clean = self._raw.copy()
+        clean = self._raw.copy(order="K")
         for channel in columns_with(self._marked[:stop]):
             known = self._decided if not end else len(clean)
             clean[:known, channel] = filled(clean[:known, channel], self._marked[:known, channel])
@@ -234,8 +235,8 @@ class Cleaner:
 
 
 def _medians(sizes: FloatArray) -> FloatArray:
-    """Return the median of each block (blocks, BLOCK, c); inf where half the readings or more are missing."""
-    middle = np.sort(sizes, axis=1)[:, sizes.shape[1] // 2]  # NaN comes last
+    """Return medians (blocks, c) of sizes (c, blocks, n); inf where half the readings or more are missing."""
+    middle = np.sort(sizes)[..., sizes.shape[2] // 2].T  # NaN comes last
     return np.asarray(np.where(np.isnan(middle), np.inf, middle))
 
 

@@ -21,6 +21,11 @@ def largest_in(v: FloatArray) -> FloatArray:
     return np.array([column.max(initial=0.0) for column in v.T])
 
 
+def least_of_parts(v: FloatArray, length: int) -> FloatArray:
+    """Return the smallest value (c, parts) of each stretch of so many readings of v (c, N)."""
+    return np.asarray(np.minimum.reduceat(v, np.arange(0, v.shape[1], length), axis=1))
+
+
 def columns_with(marks: BoolArray) -> list[int]:
     """Return the columns of marks (N, c) that hold one."""
     return [number for number, column in enumerate(marks.T) if column.any()]

@@ -85,7 +85,7 @@ class SensorWatch:
 
     def take(self, v: FloatArray) -> list[Finding]:
         """Take further samples v (N, c); return what changed, in order."""
-        self._pending = np.concatenate([self._pending, v])
+        self._pending = np.concatenate([self._pending.T, v.T], axis=1).T
         whole = (len(self._pending) - self._context) // self.block
         if not whole:
             return []

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.storage.database.columns import COLUMN_BITS, numbers_crc
 from agent.storage.tables.rows import FitKey, Names, Numbers, Plan
@@ -41,6 +42,11 @@ def joined_runs(batches: Sequence[EstimateBatch]) -> Iterator[EstimateBatch]:
         yield join(group)
 
 
+ROW = np.dtype([
+    ("t_ns", "i8"), ("series", "i8"), ("verdict", "i8"), ("value", "f8"), ("sd", "f8"), ("window_s", "f8"),
+    ("n_used", "i8"), ("n_missing", "i8"), ("sd_repeat", "f8"),
+])  # fmt: skip
+"""What minutes are made of; a window of 0 s is none."""
 _DIVERGED = (int(Status.INVALID) << 8) | int(Reason.DIVERGED)
 _VALID = int(Status.VALID)
 
@@ -75,12 +81,26 @@ def _add_rows(
     ends = (np.where(symmetric, np.nan, lower), np.where(symmetric, np.nan, upper))
     bare = (value, sd, *ends, held, age, repeat_cells(sd, batch.sd_repeat))
     columns = (*numbered, *(a.ravel() for a in bare))
-    if place is not None:
+    if place is None:
+        plan.estimates.append((run_id, _as_stored(batch, columns)))
+    else:
         reported = np.isfinite(value.ravel())
         columns = tuple(column[reported] for column in columns)
     plan.add(
         "estimates", *zip(*(c.tolist() for c in (*columns, numbers_crc("estimates", columns))), strict=True)
     )
+
+
+def _as_stored(batch: EstimateBatch, columns: Sequence[NDArray[Any]]) -> NDArray[np.void]:
+    """Return rows as they are read back for minutes; columns: what is stored in `estimates` of them."""
+    _, series, _, verdict, value, sd, *_, repeat = columns
+    rows = np.empty(len(value), ROW)
+    rows["series"], rows["verdict"], rows["value"], rows["sd"] = series, verdict, value, sd
+    rows["sd_repeat"] = np.where(np.isnan(repeat), sd, sd * repeat * 1e-4)
+    rows["window_s"] = np.where(batch.window_s >= 0, batch.window_s, 0.0).ravel()
+    for name, each in (("t_ns", batch.t_ns), ("n_used", batch.n_used), ("n_missing", batch.n_missing)):
+        rows[name] = np.repeat(each, len(batch.parameters))
+    return rows
 
 
 def repeat_cells(sd: FloatArray, sd_repeat: FloatArray) -> FloatArray:

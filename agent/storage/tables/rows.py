@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent.storage.database.checksum import Cell, with_crc
 from agent.storage.database.columns import TABLES
 from agent.storage.tuning import MOST_FITS
@@ -27,9 +30,15 @@ VERDICTS = {
 
 @dataclass(slots=True)
 class Plan:
-    """The rows of one transaction by table; applying a plan twice leaves what applying it once leaves."""
+    """The rows of one transaction by table; applying a plan twice leaves what applying it once leaves.
+
+    Attributes:
+        rows: by table.
+        estimates: those of chosen windows as `estimates.ROW` has them, with the run that they are of.
+    """
 
     rows: dict[str, list[Row]] = field(default_factory=dict)
+    estimates: list[tuple[int, NDArray[np.void]]] = field(default_factory=list)
 
     def add(self, table: str, *rows: Row) -> None:
         self.rows.setdefault(table, []).extend(rows)

@@ -20,7 +20,7 @@ from agent.storage.tables.ages import Part, parts_of, shifts
 from agent.storage.tables.covariates import thin
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.write.consumers.unsent import acknowledged, count_unsent
-from agent.storage.write.rollups import add_groups, aggregate
+from agent.storage.write.rollups import Recent, add_groups, aggregate
 from agent.units import HOUR_S, MINUTE_S, SECOND_NS
 
 _OLD = "seq <= (SELECT seq FROM {table} ORDER BY seq DESC LIMIT 1 OFFSET ?)"
@@ -137,6 +137,7 @@ class TierKeeper:
         self._runs: dict[int, _Progress] = {}
         self._parts: dict[int, list[int]] = {}
         self._purged_at: dict[int, int] = {}
+        self._recent = Recent()
 
     def retain(self, keep: Retention) -> None:
         """Keep rows for other times from now on."""
@@ -155,9 +156,15 @@ class TierKeeper:
         """Take up the part of a run that grows from now on; those that grew long before do not any more."""
         self._parts[run_id] = [*(p for p in self._parts.get(run_id, ()) if p != part), part]
         self._runs[part] = self._progress(part, growing=True)
+        if self._oldest(part, 0) is None:
+            self._recent.begin(part)
         for old in self._parts[run_id][: -tuning.GROWING_PARTS]:
             self._parts[run_id].remove(old)
             self._runs[old].growing = False
+
+    def stored(self, plan: Plan) -> None:
+        """Take note of what was committed."""
+        self._recent.take(plan)
 
     def step(self, *, finish: bool = False) -> None:
         """Aggregate the periods that are over and purge what is too old or too much.
@@ -205,7 +212,7 @@ class TierKeeper:
         end = first + max(0, (over - first) // length) * length
         while first < end:
             stop = min(end, first + tuning.PART_NS)
-            groups = aggregate(self._store.connection, run_id, span, first, stop)
+            groups = aggregate(self._store.connection, self._recent, run_id, span, first, stop)
             if groups is not None:
                 plan = Plan()
                 add_groups(plan, groups, run_id, span, self._store.names, self._store.numbers)

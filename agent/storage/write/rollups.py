@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from agent.storage.database.columns import COLUMN_BITS, numbers_crc
 from agent.storage.tables.covariates import merged
-from agent.storage.tables.estimates import repeat_cells
+from agent.storage.tables.estimates import ROW, repeat_cells
 from agent.storage.tables.rows import Names, Numbers, Plan
-from agent.storage.tuning import LEAST_SD, NORMAL_DOF
+from agent.storage.tuning import LEAST_SD, MOST_RECENT, NORMAL_DOF
 from agent.types import BoolArray, FloatArray, IntArray, Status
 from agent.units import MINUTE_S, SECOND_NS
 
@@ -41,12 +41,8 @@ _MINUTE_ROWS = """SELECT h.t_ns, e.series_id, e.verdict_id, e.value, e.sd, coale
  CROSS JOIN spreads p ON p.seq = e.seq
  WHERE h.run_id = ? AND h.span = ? AND h.t_ns >= ? AND h.t_ns < ?"""
 
-_FULL = np.dtype([
-    ("t_ns", "i8"), ("series", "i8"), ("verdict", "i8"), ("value", "f8"), ("sd", "f8"), ("window_s", "f8"),
-    ("n_used", "i8"), ("n_missing", "i8"), ("sd_repeat", "f8"),
-])  # fmt: skip
 _MINUTES = np.dtype(
-    [*_FULL.descr, ("n", "i8"), ("n_valid", "i8"), ("low", "f8"), ("high", "f8"), ("worst", "i8")]
+    [*ROW.descr, ("n", "i8"), ("n_valid", "i8"), ("low", "f8"), ("high", "f8"), ("worst", "i8")]
 )
 
 
@@ -69,13 +65,52 @@ class Groups:
     n_missing: IntArray
 
 
+class Recent:
+    """The newest rows of runs that began here, until minutes are made of them.
+
+    To read them back costs a third of all that is written.
+    """
+
+    def __init__(self) -> None:
+        self._rows: dict[int, list[NDArray[np.void]]] = {}
+        self._waiting: dict[int, int] = {}
+
+    def begin(self, run_id: int) -> None:
+        """Take up a run that has no row yet."""
+        self._waiting.setdefault(run_id, 0)
+
+    def take(self, plan: Plan) -> None:
+        """Take the rows of a plan that was committed, once; of a run with too many none is known any more."""
+        for run_id, rows in plan.estimates:
+            waiting = self._waiting.get(run_id, MOST_RECENT) + len(rows)
+            self._waiting[run_id] = waiting
+            if waiting < MOST_RECENT:
+                self._rows.setdefault(run_id, []).append(rows)
+            else:
+                self._rows.pop(run_id, None)
+        plan.estimates = []
+
+    def between(self, run_id: int, first_ns: int, end_ns: int) -> NDArray[np.void] | None:
+        """Return the rows of a run in first_ns <= t < end_ns with those just before; None if not known."""
+        if run_id not in self._rows:
+            return None
+        rows = np.concatenate(self._rows[run_id])
+        t_ns = rows["t_ns"]
+        rows = rows[t_ns >= t_ns[t_ns < first_ns].max(initial=-(1 << 63))]
+        self._rows[run_id] = [rows]
+        self._waiting[run_id] = len(rows)
+        return np.asarray(rows[rows["t_ns"] < end_ns])
+
+
 def aggregate(
-    connection: sqlite3.Connection, run_id: int, span: int, first_ns: int, end_ns: int
+    connection: sqlite3.Connection, recent: Recent, run_id: int, span: int, first_ns: int, end_ns: int
 ) -> Groups | None:
     """Return the aggregates of a run in first_ns <= t < end_ns; minutes from rows, hours from minutes."""
     query, source = (_FULL_ROWS, 0) if span == MINUTE_S else (_MINUTE_ROWS, MINUTE_S)
-    found = connection.execute(query, (run_id, source, first_ns, end_ns))
-    rows = np.fromiter(found, dtype=_MINUTES if source else _FULL)
+    rows = None if source else recent.between(run_id, first_ns, end_ns)
+    if rows is None:
+        found = connection.execute(query, (run_id, source, first_ns, end_ns))
+        rows = np.fromiter(found, dtype=_MINUTES if source else ROW)
     if not len(rows):
         return None
     rows["series"] = merged(connection, rows["t_ns"], rows["series"], span * SECOND_NS)

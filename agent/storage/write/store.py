@@ -318,6 +318,7 @@ class Store:
                     insert_rows(connection, table, rows)
         self.names.saved()
         self._watermarks.note(plan.rows)
+        self._tiers.stored(plan)
         self._since_checkpoint[0] += 1
         self._since_checkpoint[1] += len(plan.rows.get("estimates", ()))
 

@@ -17,8 +17,6 @@ PACKAGE_DEPTH = {"agent/numerics": 3, "agent": 2, "drivers": 2, "sim_bus": 1}
 """Folders of a package's path below each of these; the numerics' rooms are packages to a reader."""
 FIXED = re.compile(r"fixed by \w+", re.IGNORECASE)
 """Says who has fixed a number that is not tuned: a standard, a format, an operating system, a definition."""
-UNSORTED = ("agent/prognosis",)
-"""Packages whose numbers are not sorted yet."""
 
 
 def package_of(file: Path) -> str:
@@ -98,15 +96,14 @@ def loose(source: str, words: re.Pattern[str] = FIXED) -> set[str]:
 
 def test_constants_that_are_tuned_stand_in_the_table_of_their_package() -> None:
     files = (file for package in PACKAGES for file in (ROOT / package).rglob("*.py") if file.name != TABLE)
-    sorted_ones = (file for file in files if not file.relative_to(ROOT).as_posix().startswith(UNSORTED))
-    found = {file: loose(file.read_text(encoding="utf-8")) for file in sorted_ones}
+    found = {file: loose(file.read_text(encoding="utf-8")) for file in files}
     assert {file.relative_to(ROOT).as_posix(): names for file, names in found.items() if names} == {}
 
 
 def test_constants_have_one_table_a_package() -> None:
     tables = [file for package in PACKAGES for file in (ROOT / package).rglob(TABLE)]
     below = [file for file in tables if package_of(file) != file.parent.relative_to(ROOT).as_posix()]
-    assert [file for file in below if not package_of(file).startswith(UNSORTED)] == []
+    assert below == []
     names = {file: [name for name, _ in numbers(file.read_text(encoding="utf-8"))] for file in tables}
     assert [file for file, found in names.items() if len(found) != len(set(found))] == []
     assert [file for file in tables if "import" in file.read_text(encoding="utf-8")] == []

@@ -155,7 +155,7 @@ class TierKeeper:
         """Take up the part of a run that grows from now on; those that grew long before do not any more."""
         self._parts[run_id] = [*(p for p in self._parts.get(run_id, ()) if p != part), part]
         self._runs[part] = self._progress(part, growing=True)
-        for old in self._parts[run_id][: -tuning.GROWING_PARTS]:
+        for old in self._parts[run_id][: -tuning.OPEN_PARTS]:
             self._parts[run_id].remove(old)
             self._runs[old].growing = False
 

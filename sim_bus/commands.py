@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sim_bus.tuning import ALONE_S, LINGER_S, TICK_S
+from sim_bus.tuning import ALONE_S, LINGER_S, LOOK_S
 
 if TYPE_CHECKING:
     from sim_bus.player import Player
@@ -128,7 +128,7 @@ def _wait_for_readers(player: "Player", stop: threading.Event) -> None:
     """Say, where nobody reads, that this is what the clock waits for."""
     begun = time.monotonic()
     while not player.clock.started.is_set() and time.monotonic() < begun + ALONE_S:
-        if stop.wait(TICK_S):
+        if stop.wait(LOOK_S):
             return
     waiting = player.clock.unmet()
     if waiting:

@@ -15,7 +15,7 @@ from sim_bus.rig.rigfile import RigFile
 from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.trajectory import Rig, Trajectory
 from sim_bus.rig.truth import TruthRecorder
-from sim_bus.tuning import CHUNK, TICK_S
+from sim_bus.tuning import CHUNK, LOOK_S
 
 
 class Player:
@@ -73,7 +73,7 @@ class Player:
 
     def wait(self, stop: threading.Event, linger_s: float | None) -> None:
         """Return when told to stop, or `linger_s` after the last sample (None: only when told to stop)."""
-        while not stop.wait(TICK_S):
+        while not stop.wait(LOOK_S):
             if linger_s is not None and self.clock.finished():
                 stop.wait(linger_s)
                 return

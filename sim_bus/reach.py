@@ -12,7 +12,7 @@ from sim_bus.rig.faults import check
 from sim_bus.rig.rigfile import Channel, RigFile
 from sim_bus.rig.scenario import Scenario, built_in_names, load_scenario
 from sim_bus.rig.trajectory import Rig
-from sim_bus.tuning import INSTANTS, SEEN_S, SEEN_SAMPLES, TOLERATED
+from sim_bus.tuning import BEYOND_SHARE, INSTANTS, SEEN_S, SEEN_SAMPLES
 
 _DAY_S = 86_400.0  # fixed by units
 
@@ -78,7 +78,7 @@ def _beyond(channel: Channel | CovariateChannel, values: FloatArray, ends: tuple
     if ends is None:
         return ""
     low, high = sorted(end * channel.scale + channel.offset for end in ends)
-    if np.mean((values < low) | (values > high)) <= TOLERATED:
+    if np.mean((values < low) | (values > high)) <= BEYOND_SHARE:
         return ""
     reach = values[np.argmax(np.abs(values))]
     wanted = f"{channel.name} would reach {reach:.3g} {channel.unit}"

@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from agent.blocks.tuning import ALARM, ALARM_WINDOWS, DROPPED, SAID, TIED, WORTH_A_ROW
+from agent.blocks.tuning import ALARM, ALARM_WINDOWS, DROPPED, SURE, TIED, WORTH_A_ROW
 from agent.numerics.inference.verdicts import Belief
 from agent.records import HealthEvent
 from agent.text import number
@@ -51,7 +51,7 @@ class ConstantsWatch:
 
     def _is_news(self, belief: Belief) -> bool:
         before = self._stored.get(belief.label, 0.0)
-        crossed = any((before >= level) != (belief.probability >= level) for level in (DROPPED, SAID, ALARM))
+        crossed = any((before >= level) != (belief.probability >= level) for level in (DROPPED, SURE, ALARM))
         if not crossed and abs(belief.probability - before) < WORTH_A_ROW:
             return False
         self._stored[belief.label] = belief.probability
@@ -65,7 +65,7 @@ class ConstantsWatch:
 
     def _said_now(self, belief: Belief, t_ns: int) -> HealthEvent | None:
         """An event when a hypothesis becomes sure, or is not believed any more."""
-        if belief.probability >= SAID and belief.label not in self._said:
+        if belief.probability >= SURE and belief.label not in self._said:
             self._said.add(belief.label)
             return HealthEvent(self.rig, SOURCE, t_ns, _cause(belief), self._words(belief))
         if belief.probability < DROPPED and belief.label in self._said:
@@ -84,9 +84,9 @@ class ConstantsWatch:
     def _ties(self, beliefs: Sequence[Belief], t_ns: int) -> list[HealthEvent]:
         """An event when several explanations share what is off between them."""
         # what is sure is off beside them, not in their place
-        tied = tuple(b.label for b in beliefs if TIED <= b.probability < SAID)
+        tied = tuple(b.label for b in beliefs if TIED <= b.probability < SURE)
         together = sum(b.probability for b in beliefs if b.label in tied)
-        tied = tied if len(tied) > 1 and together >= SAID else ()
+        tied = tied if len(tied) > 1 and together >= SURE else ()
         news, self._tie = tied != self._tie and bool(tied), tied
         if not news:
             return []

@@ -67,7 +67,7 @@ DEADBAND = 0.1  # of `within` and of the rate: as much as a level alarm's is of 
 REST_S = 10.0  # s of unexcited rows after which a parameter counts as at rest
 
 # constants_watch, estimation, rig_model, source_events, statistical_rig
-SAID = 0.95  # probability from which on a hypothesis is said
+SURE = 0.95  # probability from which on a hypothesis is said
 DROPPED = 0.5  # probability below which it is taken back
 WORTH_A_ROW = 0.05  # change of a probability that is stored
 ALARM = 0.99  # probability that raises a sensor alarm when it lasts

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from agent.cli.terminal.streams import ReaderGoneError
-from agent.cli.tuning import SENTENCE_LETTERS
+from agent.cli.tuning import SUMMARY_LETTERS
 from agent.errors import AgentError
 
 GROUP = "deltak.commands"
@@ -50,7 +50,7 @@ class CommandGroup(TyperGroup):
         sections: dict[str, list[tuple[str, str]]] = {}
         for name, command in self.commands.items():
             title = getattr(command, "rich_help_panel", None) or "Commands"
-            sections.setdefault(title, []).append((name, command.get_short_help_str(limit=SENTENCE_LETTERS)))
+            sections.setdefault(title, []).append((name, command.get_short_help_str(limit=SUMMARY_LETTERS)))
         plugins = [(name, _summary(plugin)) for name, plugin in sorted(self._plugins().items())]
         for title, rows in (*sections.items(), ("Plug-ins", plugins)):
             if rows:

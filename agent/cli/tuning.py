@@ -13,13 +13,13 @@ RELOAD_WAIT_S = 180.0  # s that a reload is waited for: longer than the agent wa
 # glance/covariates, frame, state, watch
 LATE_MEAN_S = 120.0  # a mean is of a minute that is over, and is committed some time later
 BAR_WIDTH = 25  # characters of a bar ...
-NARROWEST_BAR = 11  # ... and of the narrowest one
+LEAST_BAR = 11  # ... and of the narrowest one
 BAR_LIMITS = 1.25  # how many limits a bar shows to each side
 STALE_S = 30.0  # s after which a source is silent: it writes a row of its ledger every 10 s
 EVERY_S = 1.0  # s between two looks for what is new
 
 # group
-SENTENCE_LETTERS = 120  # characters of a command's first sentence, which the list of commands shows whole
+SUMMARY_LETTERS = 120  # characters of a command's first sentence, which the list of commands shows whole
 
 # opcua/conditions, following, server
 NORMAL_KEPT = 100  # alarms back to normal that stay, so that whoever acts late learns why it is refused
@@ -54,7 +54,7 @@ SHOWN_POINTS = 800  # ... and those that are given where nothing is said: a line
 KEPT_PARTS = 100  # parameters whose past forecasts are remembered
 PATIENCE_S = 30.0  # s for whoever does not read an answer; a listener that is slow costs its place
 DRAWN_ELEMENTS = 24  # elements that can be drawn: more would be a tangle, of which only the boxes are drawn
-SCRYPT_COST = (16384, 8, 1)  # n, r, p: 16 MB and some 50 ms a try
+PASSWORD_COST = (16384, 8, 1)  # n, r, p: 16 MB and some 50 ms a try
 PASSWORD_BYTES = 8  # bytes of the shortest password
 SECRET_BYTES = 1024  # bytes of the longest password
 TOKEN_BYTES = 16  # bytes of the shortest token
@@ -64,12 +64,12 @@ SESSION_S = 12 * 3600.0  # a shift and a half; then one signs in anew
 MOST_SESSIONS = 100  # sessions at a time; the oldest ends
 FAILURES = 5  # wrong passwords an address may give ...
 FAILURES_S = 60.0  # ... within so many seconds
-FAILED_ADDRESSES = 1000  # addresses whose wrong passwords are remembered
+FAILED_HOSTS = 1000  # addresses whose wrong passwords are remembered
 MOST_BEHIND = 20_000  # instants that are given one by one to who missed them; of more the page is read anew
 RECENT_CHANGES = 2000  # changes kept for those who follow
 STREAM_POLL_S = 0.2  # s between two looks for what is new
 ALIVE_S = 15.0  # s without news after which a listener is sent a line, so that nobody between hangs up
 PAGE_INSTANTS = 200  # instants that are read at a time
 COARSE_NS = 100_000_000  # ns after which a later commit surely changes its file's time, which is coarse
-BODY_BYTES = 16384  # bytes of a request's body
+REQUEST_BYTES = 16384  # bytes of a request's body
 NAME_LETTERS = 64  # characters of the name of whoever asks

@@ -25,5 +25,5 @@ UNSTABLE = 1.0 + 1e-6  # radius of a sampled pole beyond which a motion grows, b
 # sections/covariates, north, process
 BASELINE_CLASSES = 5  # classes of a covariate that the machine must have run in for a baseline ...
 BASELINE_DAYS = 1.0  # ... and days of it
-ARCHIVED = 2000  # instants of an archive's file: of four parameters some 8,000 rows, 400 kB
+ARCHIVE_ROWS = 2000  # instants of an archive's file: of four parameters some 8,000 rows, 400 kB
 ROUND_S = 0.2  # s from one round of computing to the next: alarms are later by half of it, a core does less

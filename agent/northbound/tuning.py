@@ -10,6 +10,6 @@ STORE_S = 2.0  # until a database that cannot be read is tried again
 MOST_GAPS = 32  # gaps that are kept apart; beyond it the shortest stretch between two is sent again with them
 
 # mqtt/connection
-IN_FLIGHT = 100  # messages that wait for their acknowledgement together, unless the broker takes fewer
+MESSAGES_AT_ONCE = 100  # messages that wait for their acknowledgement together, unless the broker takes fewer
 LOOK_S = 0.2  # s between two looks whether the agent ends
 LEAVE_S = 1.0  # s that a broker may take to take leave

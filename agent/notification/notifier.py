@@ -106,7 +106,7 @@ class Notifier:
             self._ask(partial(catch_up, target=self.target.name, wanted=self._wanted))
             self._wanted = None
         quiet = quiet_s(self.target, self._now())
-        most = tuning.MESSAGES_AT_NIGHT if quiet else tuning.MESSAGES_AT_ONCE
+        most = tuning.MESSAGES_QUIET if quiet else tuning.MESSAGES_AT_ONCE
         found: Sequence[Due] = self._ask(partial(due, target=self.target.name, most=most))
         # what a side file says of a row that was sent may not be in the file yet
         found = [one for one in found if one.row.seq not in self._delivered]

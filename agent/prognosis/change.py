@@ -14,29 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.prognosis.history import History, blocks, sound
+from agent.prognosis.tuning import ASKED, FEWEST, LEAST, LINE, MEANS, SEASONAL, SHARES
 from agent.types import FloatArray
+from agent.units import YEAR_DAYS
 
-MEANS = 32
-"""Means that the change is asked of."""
-ASKED = 0.01
-"""Of each of the two questions, so that a history without a trend says "trend" less than once in twenty."""
 HALF_WIDTH = 1.96
-"""Of a 95 % interval, in standard deviations of a Gaussian."""
-FEWEST = 6
-"""Rows below which only a line is asked for: neither its curvature nor its newest half can be told."""
-LINE = 3
-"""Rows below which there is no line with an interval."""
-YEAR = 365.25
-SEASONAL = 0.7
-"""Years of history from which on a yearly season is thought of, and the share of the year's months in which
-there must be readings: a curve through two months of it is any course there is."""
-MONTHS = 12
-SHARES = (0.6, 0.06, 0.04, 0.02, 0.15, 0.09, 0.04)
-"""Prior probability of each shape: white, three of exp(−|Δt|/τ), a random walk, white beside two walks."""
+"""Fixed by statistics: of a 95 % interval, in standard deviations of a Gaussian."""
+MONTHS = 12  # fixed by the calendar
 SIZES = np.geomspace(0.02, 8.0, 13)
 """Standard deviations, in those of the differences of neighbours."""
-LEAST = 0.01
-"""Least sd of a reading, in the same: one without a stated sd is not exact."""
 STRENGTHS = (None, 0.3, 1.0, 3.0)
 """Of a yearly season, in standard deviations of the readings; None without one."""
 
@@ -195,7 +181,7 @@ class _Scatter:
             white + 0.01 * walk,
         ]
         turned = [np.linalg.eigh(R / np.outer(sd, sd)) for R in shapes]
-        season = _season(t * span / YEAR)
+        season = _season(t * span / YEAR_DAYS)
         return cls(
             [(V / sd[:, None]).T for _, V in turned],
             [np.maximum(values, 0.0) for values, _ in turned],

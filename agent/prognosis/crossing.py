@@ -3,15 +3,8 @@
 import numpy as np
 
 from agent.prognosis.scores import crps
+from agent.prognosis.tuning import DRAW_DIGITS, DRAWS, NEEDED, NEXT
 from agent.types import BoolArray, FloatArray
-
-NEXT = 5
-"""Rows of which a row that lies beyond a limit is the first."""
-NEEDED = 3
-"""Of these, so many must lie beyond it: one outlier is no passage."""
-DRAWS = 40
-"""Equally probable draws that stand for a forecast's thousands."""
-DIGITS = 6
 
 
 def beyond(value: FloatArray, limit: float, way: float) -> BoolArray:
@@ -31,7 +24,7 @@ def representative(passages: FloatArray, farthest: float) -> list[float]:
     if not len(passages):
         return []
     places = ((np.arange(DRAWS) + 0.5) / DRAWS * len(passages)).astype(np.int64)
-    return [float(f"{draw:.{DIGITS}g}") for draw in np.minimum(passages[places], farthest)]
+    return [float(f"{draw:.{DRAW_DIGITS}g}") for draw in np.minimum(passages[places], farthest)]
 
 
 def score(draws: FloatArray, came: float, *, censored: bool) -> float | None:

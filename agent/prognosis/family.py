@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.prognosis.tuning import LEAST_LEFT, STEEPEST
 from agent.types import FloatArray
 
 MEMBERS = ("constant", "rate law", "ramp", "run-in", "onset", "saturation", "growth")
@@ -31,10 +32,6 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "growth": ("growth",),
 }
 """What each member has beyond rate, walk, wander and scatter."""
-LEAST_LEFT = 0.05
-"""Share of the way below which what is left counts as no shorter."""
-STEEPEST = 30.0
-"""|κ| and exponents beyond this are cut: exp(30) is past every rate there is."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,30 +10,18 @@ from typing import Literal
 
 import numpy as np
 
-from agent.prognosis.change import FEWEST, change
+from agent.prognosis import tuning
+from agent.prognosis.change import change
 from agent.prognosis.family import MEMBERS, Scale, scale_of, way_left
 from agent.prognosis.history import History, blocks, monotone, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
-from agent.prognosis.passage import FARTHEST, first_passages, newest_levels
+from agent.prognosis.passage import first_passages, newest_levels
 from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior
 from agent.prognosis.prior import Prior, Student
 from agent.prognosis.steps import events, find_steps, without
-from agent.prognosis.traces import SHORT, Alike, alike
+from agent.prognosis.traces import Alike, alike
 from agent.types import FloatArray
 
-SPANS = 3.0
-"""P90 − P10 in spans of the history from which on a history is too short to say."""
-RATIO = 4.0
-"""And P90 : P10, so that what is near is not called unknown."""
-NEWEST = 3
-"""Newest means that say that a limit is crossed before any law is sought."""
-SURE = 2.0
-"""Standard deviations of these by which they must lie beyond it; else the laws say how probable that is."""
-SEED = 15
-LEVELS = 250
-"""Draws of the newest level at which like machines are looked at."""
-LEAST_WAY = 0.5
-"""Share of the way to the limit that a like machine's history must show to say how long the rest takes."""
 COURSES = "like machines"
 """Member of the family that is no law: what like machines did from the level reached."""
 
@@ -77,12 +65,12 @@ def forecast(
     horizon = history.span if horizon is None else horizon
     history = without(history, events(find_steps(history)))
     thin = blocks(sound(history), effort.means)
-    if len(thin) < FEWEST or thin.span <= 0.0:
+    if len(thin) < tuning.FEWEST or thin.span <= 0.0:
         return Forecast("too short", horizon=horizon)
     readings, scale = readings_of(thin, limit)
     if scale.limit == 0.0 or _past_limit(readings, scale):
         return Forecast("crossed", horizon=horizon, chance=1.0)
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(tuning.SEED)
     newest = float(readings.smooth[-1])
     prior = plain_prior(readings, way_left(newest, scale))
     if like is not None:
@@ -92,7 +80,7 @@ def forecast(
     passages = first_passages(found, scale, newest, prior.later, rng, effort) * thin.span
     family = _weights(found)
     if like is not None and scale.relative:
-        now = newest_levels(found, scale, newest, LEVELS, rng)
+        now = newest_levels(found, scale, newest, tuning.LEVELS, rng)
         kind = alike(like.traces, scale.limit, thin.t, readings.smooth, now, len(passages), rng)
         passages, family = _among(passages, family, kind, rng)
     passages = np.sort(passages)
@@ -146,8 +134,8 @@ def _steady(history: History) -> bool:
 
 def _past_limit(readings: Readings, scale: Scale) -> bool:
     """Tell whether the newest means lie on the limit's other side, by more than they may be off."""
-    newest = float(np.mean(readings.smooth[-NEWEST:]))
-    off = SURE * float(np.linalg.norm(readings.sd[-NEWEST:])) / NEWEST
+    newest = float(np.mean(readings.smooth[-tuning.NEWEST :]))
+    off = tuning.SURE * float(np.linalg.norm(readings.sd[-tuning.NEWEST :])) / tuning.NEWEST
     beyond = -np.sign(scale.limit) * (scale.limit - np.array([newest - off, newest + off, readings.z[-1]]))
     return bool((beyond >= 0.0).all())
 
@@ -163,7 +151,7 @@ def _stated(
 ) -> Forecast:
     """Return what draws of the first passage allow to be said; steady: whether nothing changes."""
     p10, p50, p90 = (float(passages[int(q * len(passages))]) for q in (0.1, 0.5, 0.9))
-    chance = float(np.mean(passages <= min(horizon, FARTHEST * span)))
+    chance = float(np.mean(passages <= min(horizon, tuning.FARTHEST * span)))
     if not _is_wide(p10, p90, span):
         status: Status = "beyond" if p50 > horizon > span else "ok"
         return Forecast(status, p10, p50, p90, horizon, chance, family, passages)
@@ -173,7 +161,7 @@ def _stated(
 
 def _is_wide(p10: float, p90: float, span: float) -> bool:
     """Whether it is left open if a passage is soon or far, or is at all."""
-    return bool(np.isinf(p90)) or (p90 - p10 > SPANS * span and p90 > RATIO * p10)
+    return bool(np.isinf(p90)) or (p90 - p10 > tuning.SPANS * span and p90 > tuning.RATIO * p10)
 
 
 def readings_of(thin: History, limit: float) -> tuple[Readings, Scale]:
@@ -231,7 +219,7 @@ def _specimen(history: History, limit: float | None) -> Specimen | None:
     law says how long the rest would take.
     """
     thin = blocks(sound(_life(history, limit)), FULL.means)
-    if len(thin) < FEWEST or 0.0 in {thin.span, float(np.ptp(thin.value))}:
+    if len(thin) < tuning.FEWEST or 0.0 in {thin.span, float(np.ptp(thin.value))}:
         return None
     end = _end(smoothed(thin), limit)
     if end is None:
@@ -244,15 +232,15 @@ def _specimen(history: History, limit: float | None) -> Specimen | None:
 def _end(smooth: FloatArray, limit: float | None) -> float | None:
     """Return the level that a history came to, which is the limit where it came about there.
 
-    None where it went less than LEAST_WAY of the way.
+    None where it went less than tuning.LEAST_WAY of the way.
     """
     begin, end = float(smooth[0]), float(smooth[-1])
     if limit is None or limit == begin:
         return end
     share = (end - begin) / (limit - begin)
-    if share < LEAST_WAY:
+    if share < tuning.LEAST_WAY:
         return None
-    return limit if share >= 1.0 - SHORT else end
+    return limit if share >= 1.0 - tuning.SHORT else end
 
 
 def _life(history: History, limit: float | None) -> History:

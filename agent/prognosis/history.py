@@ -5,13 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.prognosis.tuning import NEIGHBOURS, OUTLIER
 from agent.types import FloatArray, IntArray
-
-DAY_NS = 86_400_000_000_000
-NEIGHBOURS = 5
-"""Rows on each side that a row is compared with."""
-OUTLIER = 5.0
-"""Robust standard deviations from its neighbours' median at which a row is an outlier (Hampel 1974)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,22 +13,12 @@ import numpy as np
 from agent.prognosis.family import Scale, bent, onward, way_gone, way_share
 from agent.prognosis.prior import Prior, Student
 from agent.prognosis.traces import Trace, trace
+from agent.prognosis.tuning import COUNT, FEWEST, LATER, LIGHT, SEEN, WANDER
 from agent.types import FloatArray
 
 USUAL = {"life": 0.3, "exponent": 0.5, "wander": 0.5}
 """Spread between machines of a kind before any is seen, in natural logarithms; of the exponent, in κ."""
-FEWEST = 6
-"""Means from which on a law is sought of a part of a life."""
-COUNT = 1.0
-"""How many machines that counts for."""
-LIGHT = 2.0
-"""Degrees of freedom beyond that: with fewer than three, draws reach past any machine."""
 GRID = np.linspace(-8.0, 12.0, 201)
-SEEN = (0.3, 0.5, 0.7, 0.9)
-LATER = 0.7
-"""Spread of what κ differs by later before any machine is seen."""
-WANDER = 10.0
-"""A rate that wanders by ω over a life moves the way gone by about ω/10 from its law in between."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.prognosis.family import STEEPEST, Scale, bent, onward
+from agent.prognosis.family import Scale, bent, onward
 from agent.prognosis.posterior import FULL, Effort, Particles
 from agent.prognosis.prior import Student
+from agent.prognosis.tuning import FARTHEST, STEEPEST
 from agent.types import FloatArray
 
 FASTER = frozenset(("bend", "growth"))
 """Shapes of laws that get faster, whose rate at the limit may differ from what they say."""
-FARTHEST = 20.0
-"""How many spans of the history ahead paths are followed."""
 
 
 @dataclass(frozen=True, slots=True)

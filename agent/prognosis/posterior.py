@@ -11,17 +11,9 @@ import numpy as np
 from agent.prognosis.family import MEMBERS, SHAPES, Scale, bent, instant, life_way, progress
 from agent.prognosis.filter import State, Walk, moved, run_filter
 from agent.prognosis.prior import Prior
+from agent.prognosis.tuning import AT_ONCE, COUNTED, RUN_IN, WITHIN
 from agent.types import FloatArray
 
-AT_ONCE = 24_000
-"""Readings, times particles, whose numbers are made at once: more leave the processor's cache (all took 12 MB
-of a gateway's memory), and of fewer the calls cost more than the numbers."""
-WITHIN = -40.0, 25.0
-"""Logarithms that a proposal may reach; beyond, numbers overflow."""
-RUN_IN = 50.0
-"""How freely the rate wanders while a part runs in, in usual rates over a span."""
-COUNTED = 1.0 / 11.0
-"""Share of the particles that need count for the next round: more, and a few hundred stay where they are."""
 COMMON = ("walk", "wander", "scatter")
 
 

@@ -5,16 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.prognosis.history import History, blocks, sound
+from agent.prognosis.tuning import APART, ASIDE, MANY, MOST_TAKEN, PARTS
 from agent.types import FloatArray
-
-PARTS = 200
-ASIDE = 3
-"""Means on each side of an instant that are held against each other."""
-APART = 7.0
-"""Standard deviations of that difference, as it scatters over the whole history, from which it is a step."""
-MOST = 5
-MANY = 3
-"""Steps of one direction from which on they are how the part wears."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +19,7 @@ class Step:
 
 
 def find_steps(history: History) -> list[Step]:
-    """Return steps in order of time, the MOST largest.
+    """Return steps in order of time, the MOST_TAKEN largest.
 
     The difference of the means on both sides is held against its own robust scatter over the history: a
     random walk or a drift has such differences everywhere, a step has one. What is no less on either side of
@@ -37,7 +29,7 @@ def find_steps(history: History) -> list[Step]:
     if len(thin) < 6 * ASIDE:
         return []
     found: list[Step] = []
-    for _ in range(MOST):
+    for _ in range(MOST_TAKEN):
         step = _largest(thin)
         if step is None:
             break

@@ -14,29 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.prognosis.tuning import ALIKE, OTHER, PERSISTS, POINTS, QUARTERS, SHORT, SHORTEST, SPREAD, UNSURE
 from agent.types import FloatArray
 
-POINTS = 32
-"""Points of a trace that are evenly spread in time, and as many in level."""
-SHORT = 0.05
-"""Share of the way by which a trace may end before a limit and still say when it would have reached it."""
-SPREAD = 0.3
-"""Spread between machines of a kind before any is seen, in natural logarithms of a time."""
-PERSISTS = 0.5
-"""How much of a pace persists before any machine is seen, and how sure that is."""
 SPREADS = SPREAD * np.exp(np.linspace(-4.0, 4.0, 33))
 """Spreads that are thought of; a machine or two leave open which, and many settle it."""
-UNSURE = 1.5
-"""Standard deviation of the spread's logarithm before any machine is seen: three are to settle it."""
-OTHER = 1.0
-"""Spread of a machine of another kind about these, in the same."""
-ALIKE = 0.8
-"""How probable it is beforehand that a machine is of the kind of those it is compared with."""
-QUARTERS = 4
-"""Equal times whose ways are compared with those of like machines."""
-TINY = 1e-30
-SHORTEST = 1e-3
-"""Share of the time so far below which a time counts as no shorter."""
+TINY = 1e-30  # fixed by double precision: what may be divided by
 
 
 class Trace(NamedTuple):

@@ -25,7 +25,7 @@ from agent.runtime.pipeline import Pipeline, resolutions
 from agent.runtime.playing import Playing, Track
 from agent.runtime.process.memory import MMAP_THRESHOLD, TRIM_THRESHOLD
 from agent.runtime.results import RunSummary
-from agent.runtime.tuning import COMMIT_S, OBJECTS, SWITCH_S
+from agent.runtime.tuning import COLLECTION_EVERY, COMMIT_S, SWITCH_S
 from agent.storage.write.store import Store
 from agent.storage.write.writer import StoreWriter
 from agent.types import Learnt
@@ -45,7 +45,7 @@ def replay(*, config: Path, recordings: Sequence[Path], db: Path | None) -> dict
     rig = load(config)
     started = time.monotonic()
     keep_freed_memory()
-    gc.set_threshold(OBJECTS)
+    gc.set_threshold(COLLECTION_EVERY)
     sys.setswitchinterval(SWITCH_S)
     with ExitStack() as stack:
         playing = begun(rig, recordings)

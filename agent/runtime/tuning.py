@@ -50,7 +50,7 @@ COMMIT_S = 0.05  # between commits: little is left to write when the last block 
 SWITCH_S = 5e-4
 """Longest that reading and writing hold the interpreter while the estimation, which lets go of it in every
 product of matrices, waits for it: a tenth of a replay at Python's 5 ms; below 0.2 ms switching costs more."""
-OBJECTS = 20_000  # new objects between two searches for garbage: at 700 they cost a hundredth of all
+COLLECTION_EVERY = 20_000  # new objects between two searches for garbage: at 700 they cost a hundredth of all
 
 # process/deadline, memory, opening, watch
 ON_ITS_WAY_S = 0.5  # s that an exception which is to break off a fit may take to arrive
@@ -67,11 +67,11 @@ MOST_TRIES = 3  # processes that may die over one part: the third time it is the
 TEXTFILE_S = 15.0  # from one writing of the file to the next: as often as Prometheus asks by default
 
 # workers/child, databases, link, piped, worker
-ORPHAN_S = 5.0  # how long a worker whose agent ended may take to end
+WORKER_END_S = 5.0  # how long a worker whose agent ended may take to end
 AGAIN_S = 1.0  # until runs are begun again that a failing disk does not let begin
 MOST_SPARE = 1000  # messages that wait; what can be spared is not sent where more do
 MOST_CELLS = 200_000  # rows that wait for the agent at most, a database: as many as wait for a disk
-MORE_EXPENDABLE = 200  # added to a worker's score for Linux's out-of-memory killer: it goes before the agent
+SCORE_ADDED = 200  # added to a worker's score for Linux's out-of-memory killer: it goes before the agent
 
 # forecasts/histories, making, schedule, scoring, thread
 HISTORY_MEANS = 1000  # means a history is thinned to: a year costs little more than a day
@@ -80,7 +80,7 @@ FORECASTS_AT_ONCE = 100  # instants made up for; where more have passed nothing 
 ALARM_FORECASTS = 60  # forecasts at alarms are apart by this part of the time between others
 LONG_TIMES = 2.0  # times as long as until its P90 has passed, when a forecast is scored anyway
 SETTLE_S = 2.0  # how long after it was asked a forecast is begun, so that the rows that led to it are stored
-NICER = 5
+PRIORITY_STEPS = 5
 """Less priority than the agent's other threads, in steps of nice(2). At the lowest it would be put aside
 while it holds the interpreter's lock, and a thread that reads a bus would wait for it."""
 FORECASTS_WAITING = 64  # what was made and not fetched; the oldest goes

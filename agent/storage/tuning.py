@@ -22,7 +22,7 @@ LONGEST_LINE = 1 << 22  # characters; a file with a longer line is no table
 LARGEST = 1e100  # magnitude beyond which no parameter of a machine lies and squares overflow
 
 # recovery/page_carving, salvage
-CARVED_ROWS = 10_000  # rows of a table that are carved before they are written
+CARVING_ROWS = 10_000  # rows of a table that are carved before they are written
 LEAP_ROWS = 100_000  # numbers skipped after a loss, so that none is given out twice
 KEPT_ASIDE = 3  # damaged files kept; a sick flash must not fill itself with them
 
@@ -50,7 +50,7 @@ LONGEST_REQUEST = 65536  # bytes of a line that is asked
 LONGEST_ANSWER = 1 << 26  # a status is 350 bytes a rig, a log 500 lines
 PATIENCE_S = 5.0  # s that a caller may take to send its line or to take its answer
 LIFE_SIGN_S = 1.0  # s between signs of life while a command is under way
-MOST_CALLERS = 16  # whose line is not complete; of more the one that has waited longest is cut off
+CONNECTIONS_WAITING = 16  # whose line is not complete; of more the one that has waited longest is cut off
 MOST_COMMANDS = 4  # done at a time
 BEFORE_S = 10.0
 AFTER_S = 60.0  # s before and after a change of an alarm for which all rows are kept
@@ -59,13 +59,13 @@ KEPT_RECORDS = 100_000  # events, alarms, verdicts, forecasts ..., 20 to 50 MB e
 FREE_PAGES = 128  # pages of the file that are free: with more a full disk costs no rows
 LATE_NS = 30 * 10**9  # rows kept for an alarm reach the store up to 10 s after later ones
 PART_NS = 3600 * 10**9  # ns of rows that are aggregated and purged at a time
-GROWING_PARTS = 3  # parts of a run that rows may still come for
+OPEN_PARTS = 3  # parts of a run that rows may still come for
 HOPS_A_PURGE = 10_000  # rows that are deleted in one transaction: new ones come between two
 TIER_S = 365 * 86400  # s; a tier kept longer counts for so long in what the file may need
 HOP_BYTES, CELL_BYTES, SPREAD_BYTES, HEALTH_BYTES, COVARIATE_BYTES = 47.0, 47.0, 38.0, 60.0, 77.0
 """Bytes that a row of each table takes in the file, as measured."""
 LEAST_SD = 1e-150  # a noise-free replay may claim an sd of zero, whose weight would be infinite
-COMMITS_A_CHECKPOINT = 300  # commits after which the log is copied into the file ...
+CHECKPOINT_EVERY = 300  # commits after which the log is copied into the file ...
 CELLS_A_CHECKPOINT = 20_000  # ... or rows in them
 LAG_MEMORY_NS = 5 * 86_400 * 10**9  # five times the longest lag of a machine behind a covariate
 MOST_AHEAD = 4_000_000  # rows that a log and a side file can hold; a note further ahead is none

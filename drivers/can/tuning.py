@@ -1,7 +1,7 @@
 """Tuned numbers of CAN: name, value, unit, and why."""
 
 # bus/batch, bus, kernel, netlink, slcan
-CALL_FRAMES = 1024  # frames taken by one system call
+BATCH_FRAMES = 1024  # frames taken by one system call
 READ_FRAMES = 4096  # frames that are taken at once by a read
 CONNECT_S = 2.0  # s that a daemon may take to be reached and to greet
 RECEIVE_BYTES = 4 << 20  # bytes in which frames wait with the kernel while nobody reads

@@ -16,7 +16,7 @@ from sim_bus.rig.fault_names import COUNTERS, FRAMES, KNOWN, NUMBERS, FaultKind,
 from sim_bus.rig.ranges import Runs
 from sim_bus.rig.scenario import FaultAt, Scenario
 from sim_bus.rig.schedule import first_sample
-from sim_bus.tuning import GARBAGE_BYTES, JITTER_SHARE, LOSS_SHARE, SHUFFLED_SAMPLES
+from sim_bus.tuning import JITTER_SHARE, LINE_NOISE_BYTES, LOSS_SHARE, SHUFFLED_SAMPLES
 
 SENSOR = "sensor"
 _BREAK = bytes(32)
@@ -175,7 +175,7 @@ class LineFaults:
             "baud": lambda data: self._rng.bytes(len(data)),
             "stolen": self._without_a_part,
             "duplicate": lambda data: data * 2,
-            "garbage": lambda data: self._rng.bytes(int(self._rng.integers(*GARBAGE_BYTES))) + data,
+            "garbage": lambda data: self._rng.bytes(int(self._rng.integers(*LINE_NOISE_BYTES))) + data,
             "break": lambda data: _BREAK + data,
         }
 

@@ -18,7 +18,7 @@ from sim_bus.rig.schedule import Change, Draw
 from sim_bus.rig.sensors import Oscillator, Sensor
 from sim_bus.rig.wear import Wear
 from sim_bus.tables import Table
-from sim_bus.tuning import NAMED_SCENARIOS
+from sim_bus.tuning import NAMED
 
 SEED_VARIABLE = "DELTAK_SEED"
 _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
@@ -209,7 +209,7 @@ def load_scenario(
 
 
 def _first(names: list[str]) -> list[str]:
-    return names if len(names) <= NAMED_SCENARIOS else [*names[:NAMED_SCENARIOS], "..."]
+    return names if len(names) <= NAMED else [*names[:NAMED], "..."]
 
 
 def _broken(fault: FaultAt, channel: str) -> Sensor:

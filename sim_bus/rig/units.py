@@ -22,7 +22,7 @@ _FORCES: Mapping[str, float] = {
     "lbf": 0.45359237 * 9.80665,
     "kip": 453.59237 * 9.80665,
 }
-_REVOLUTION = 2.0 * math.pi
+_REVOLUTION = 2.0 * math.pi  # fixed by definition, rad
 _STANDARD_GRAVITY = {"g": 9.80665, "gn": 9.80665, "mg": 9.80665e-3}
 SI_FACTORS: Mapping[str, Mapping[str, float]] = {
     "force": _FORCES,

@@ -10,7 +10,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from agent.cli.tuning import BAR_LIMITS, BAR_WIDTH, NARROWEST_BAR
+from agent.cli.tuning import BAR_LIMITS, BAR_WIDTH, LEAST_BAR
 from agent.text import number, printable, short_time, with_sd
 
 Row = Mapping[str, Any]
@@ -83,7 +83,7 @@ class _Bar:
     style: str
 
     def __rich_measure__(self, _console: Console, options: ConsoleOptions) -> Measurement:
-        return Measurement(NARROWEST_BAR, min(options.max_width, BAR_WIDTH))
+        return Measurement(LEAST_BAR, min(options.max_width, BAR_WIDTH))
 
     def __rich_console__(self, _console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         yield _line(bar(self.row, min(options.max_width, BAR_WIDTH)), self.style)

@@ -13,7 +13,7 @@ from agent.cli.prognosis.words import drift, finding, forecast_words, record_wor
 from agent.cli.terminal.output import print_csv, print_json, print_table, show
 from agent.errors import UsageError
 from agent.prognosis.change import Change, change
-from agent.prognosis.history import DAY_NS, disjoint
+from agent.prognosis.history import disjoint
 from agent.prognosis.steps import events, find_steps, without
 from agent.runtime.forecasts.compensated import Compensated, compensated
 from agent.runtime.forecasts.histories import (
@@ -28,6 +28,7 @@ from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.storage.read.tables import is_table, table_points
 from agent.text import behind, counted, iso_time, number, short_time, with_sd
+from agent.units import DAY_NS
 
 Document = Mapping[str, Any]
 _BARS = "▁▂▃▄▅▆▇█"

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from agent.cli.tuning import PASSWORD_BYTES, SCRYPT_COST, SECRET_BYTES, SECRET_FILE_BYTES, TOKEN_BYTES
+from agent.cli.tuning import PASSWORD_BYTES, PASSWORD_COST, SECRET_BYTES, SECRET_FILE_BYTES, TOKEN_BYTES
 from agent.errors import UsageError
 
 _GROUP, _OTHERS = 0o070, 0o007  # fixed by POSIX: rights of the group and of others
@@ -51,7 +51,7 @@ class Secret:
     def read(cls, line: str) -> Self | None:
         """Return the secret whose `line` this is; None where it is none."""
         parts = line.split(":")
-        if parts[:4] != ["scrypt", *map(str, SCRYPT_COST)] or len(parts) != 6:
+        if parts[:4] != ["scrypt", *map(str, PASSWORD_COST)] or len(parts) != 6:
             return None
         try:
             salt, known = (base64.b64decode(part, validate=True) for part in parts[4:])
@@ -62,7 +62,7 @@ class Secret:
     def line(self) -> str:
         """Return a password's hash as a file holds it."""
         parts = [base64.b64encode(part).decode() for part in self.password or ()]
-        return ":".join(["scrypt", *map(str, SCRYPT_COST), *parts])
+        return ":".join(["scrypt", *map(str, PASSWORD_COST), *parts])
 
 
 def from_files(password: Path | None, token: Path | None) -> Secret | None:
@@ -103,7 +103,7 @@ def write_closed(path: Path, content: str) -> None:
 
 
 def _hash(text: bytes, salt: bytes) -> bytes:
-    n, r, p = SCRYPT_COST
+    n, r, p = PASSWORD_COST
     return hashlib.scrypt(text, salt=salt, n=n, r=r, p=p, maxmem=64 * 1024 * 1024)
 
 

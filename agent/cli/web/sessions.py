@@ -5,7 +5,7 @@ import secrets
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-from agent.cli.tuning import FAILED_ADDRESSES, FAILURES, FAILURES_S, MOST_SESSIONS, SESSION_S
+from agent.cli.tuning import FAILED_HOSTS, FAILURES, FAILURES_S, MOST_SESSIONS, SESSION_S
 from agent.clock import monotonic_ns
 
 
@@ -66,7 +66,7 @@ class Attempts:
         """Count a wrong password."""
         self._failed[address] = [*self._recent(address), _now_s()]
         self._failed.move_to_end(address)
-        while len(self._failed) > FAILED_ADDRESSES:
+        while len(self._failed) > FAILED_HOSTS:
             self._failed.popitem(last=False)
 
     def _recent(self, address: str) -> list[float]:

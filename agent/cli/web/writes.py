@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from agent.cli.glance.files import Watched
-from agent.cli.tuning import BODY_BYTES, NAME_LETTERS, SESSION_S
+from agent.cli.tuning import NAME_LETTERS, REQUEST_BYTES, SESSION_S
 from agent.cli.web.guard import document, of_error, refusal
 from agent.cli.web.operate import CAUSES, operate
 from agent.cli.web.secret import Secret
@@ -141,8 +141,8 @@ async def _object(request: Request) -> Mapping[str, Any]:
     body = b""
     async for part in request.stream():
         body += part
-        if len(body) > BODY_BYTES:
-            raise _RefusedError(413, "body", f"has more than {BODY_BYTES} bytes", "send less")
+        if len(body) > REQUEST_BYTES:
+            raise _RefusedError(413, "body", f"has more than {REQUEST_BYTES} bytes", "send less")
     try:
         found = json.loads(body)
     except (ValueError, RecursionError) as error:

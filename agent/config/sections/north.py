@@ -6,7 +6,7 @@ from pydantic import Field, Strict, field_validator
 
 from agent.config.reading.fields import Duration, FilePath, Name, Names, Positive, Table, Text
 from agent.config.reading.secrets import Secret
-from agent.config.tuning import ARCHIVED
+from agent.config.tuning import ARCHIVE_ROWS
 
 Kind = Literal["mqtt", "sparkplug", "postgres", "parquet"]
 Topic = Literal["alarms", "estimates", "events", "health"]
@@ -54,4 +54,4 @@ class North(Table):
     def at_once(self) -> int:
         """Instants or rows of a batch: by default many for an archive, whose files are not to be small."""
         is_stated = "batch" in self.model_fields_set
-        return ARCHIVED if self.is_periodic and not is_stated else self.batch
+        return ARCHIVE_ROWS if self.is_periodic and not is_stated else self.batch

@@ -23,7 +23,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 from agent.config.sections.north import North
 from agent.northbound.interface.certificate import refuse_expired
 from agent.northbound.interface.peer import Credentials, PeerError, Place
-from agent.northbound.tuning import IN_FLIGHT, LEAVE_S, LOOK_S
+from agent.northbound.tuning import LEAVE_S, LOOK_S, MESSAGES_AT_ONCE
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _CREDENTIALS: Final = {"Not authorized", "Bad user name or password", "Banned", "Bad authentication method"}
@@ -176,8 +176,8 @@ class Connection:
         answer: ReasonCode,
         properties: Properties | None,
     ) -> None:
-        most = getattr(properties, "ReceiveMaximum", IN_FLIGHT)
-        client._max_inflight_messages = min(IN_FLIGHT, most)  # noqa: SLF001 - known with the answer, no sooner
+        most = getattr(properties, "ReceiveMaximum", MESSAGES_AT_ONCE)
+        client._max_inflight_messages = min(MESSAGES_AT_ONCE, most)  # noqa: SLF001 - known with the answer, no sooner
         with self._changed:
             self._answer = answer
             self._changed.notify_all()

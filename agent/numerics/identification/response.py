@@ -146,7 +146,7 @@ def fitted(model: MassSpringDamper, seen: Responses) -> list[FloatArray]:
     seen, middle = _connected(graph, seen, phi), phi.mean(axis=0)
     cost, J, r = _errors(graph, seen, phi, middle)
     damping = np.full(len(phi), 1e-2)
-    for turn in range(tuning.ROUNDS_OF_A_GUESS):
+    for turn in range(tuning.ROUNDS_OF_A_START):
         if turn == tuning.FIRST_ROUNDS:
             best = np.argsort(cost)[: tuning.FOLLOWED]
             phi, cost, J, r, damping = phi[best], cost[best], J[best], r[best], damping[best]
@@ -208,10 +208,10 @@ def _guesses(model: MassSpringDamper, graph: Graph, seen: Responses) -> FloatArr
     speed = np.abs(seen.H / graph.rises[:, :, None] * graph.iw[:, None, None]) ** 2
     share = np.cumsum(np.sum(speed / np.maximum(speed.sum(axis=0), 1e-300), axis=(1, 2)))
     low, high = (float(seen.omega[np.searchsorted(share, part * share[-1])]) for part in (0.05, 0.95))
-    w = np.exp(rng.uniform(np.log(0.7 * low), np.log(1.5 * high), (tuning.GUESSES, len(graph.names))))
+    w = np.exp(rng.uniform(np.log(0.7 * low), np.log(1.5 * high), (tuning.STARTS, len(graph.names))))
     mass = np.array([m.value for m in model.structure.masses])
     typical = float(np.median(mass[mass > 0])) if (mass > 0).any() else 1.0
     lightest = np.array([min((m for m in mass[way != 0] if m > 0), default=typical) for way in graph.ways])
-    size = np.array([lightest * w**2, 2 * tuning.DAMPED * lightest * w, np.broadcast_to(typical, w.shape)])
+    size = np.array([lightest * w**2, 2 * tuning.DAMPING * lightest * w, np.broadcast_to(typical, w.shape)])
     rows = np.take_along_axis(size, np.broadcast_to(graph.order, (1, *w.shape)), axis=0)
     return np.asarray(np.log(rows[0]))

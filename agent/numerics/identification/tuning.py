@@ -37,11 +37,11 @@ SHORTEST_STRETCH = 64  # samples of a stretch at least
 SMOOTH = 2  # order of the window: its sides fall off faster than a resonance does
 MOST_BINS = 300  # bins of a response that are fitted
 ROUGH, CERTAIN = 0.1, 0.5  # relative errors: what short stretches smear, and where a bin says nothing
-GUESSES = 32  # starts that are drawn at random ...
-ROUNDS_OF_A_GUESS = 30  # ... steps of each ...
+STARTS = 32  # starts that are drawn at random ...
+ROUNDS_OF_A_START = 30  # ... steps of each ...
 SEED = 17  # ... and what they are drawn with: any does
 FIRST_ROUNDS, FOLLOWED = 10, 12  # rounds after which guesses are compared, and how many go on
-DAMPED = 0.05  # damping ratio of a guess
+DAMPING = 0.05  # damping ratio of a guess
 MOST_MINIMA, ALIKE = 6, 0.2
 """Minima that are looked at closely, and the logarithm by which parameters of one differ at most: damping is
 seen less well, and tells no two apart."""

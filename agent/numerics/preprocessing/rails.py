@@ -18,10 +18,8 @@ from agent.numerics.preprocessing import tuning
 from agent.numerics.preprocessing.bridge import runs
 from agent.types import BoolArray, FloatArray
 
-SURE = 2 * tuning.OVERSHOOT
-"""The same where no second such peak is waited for: healthy 16-bit channels reached 25 in 1.5 hours."""
-ENTRY = tuning.PLATEAU + tuning.BRAKED_OVER + 1
-"""Readings before a block that a top in it may begin with, and those that tell how fast it was entered."""
+RAIL_ENTRY = tuning.PLATEAU + tuning.BRAKED_OVER + 1
+"""Fixed by these: readings a top may begin with before a block, and those that tell how it was entered."""
 
 
 class Top(NamedTuple):
@@ -75,7 +73,7 @@ class Rails:
         return bool(abs(value) <= 0.5 * grain or share >= tuning.REST)
 
     def stopped(self, channel: int, x: FloatArray, ends: tuple[float, float], grain: float) -> bool:
-        """Tell whether readings x, `ENTRY` of them before the block, run into the end of a channel's range.
+        """Tell whether readings x, RAIL_ENTRY of them before the block, run into an end of a channel's range.
 
         ends: of all readings so far. grain: step of the wire, or noise.
         """
@@ -86,7 +84,7 @@ class Rails:
                 found |= self._run_into(channel, top, ends, grain)
         for side in (0, 1):
             found |= self._is_held(channel, side, x, grain)
-            self._there[side, channel] += int(np.sum(x[ENTRY:] == self._value[side, channel]))
+            self._there[side, channel] += int(np.sum(x[RAIL_ENTRY:] == self._value[side, channel]))
         return found
 
     def _run_into(self, channel: int, top: Top, ends: tuple[float, float], grain: float) -> bool:
@@ -97,7 +95,7 @@ class Rails:
             self._times[place] = self._there[place] = self._since[place] = 0
         self._times[place] += 1
         is_extreme = abs(top.value - ends[top.side]) <= 0.5 * grain and not self._inputs[channel]
-        is_end = self._times[place] > 1 or (is_extreme and top.beyond > SURE)
+        is_end = self._times[place] > 1 or (is_extreme and top.beyond > tuning.SURE_OVERSHOOT)
         return bool(is_end) and not self.rests(channel, top.value, grain)
 
     def _is_held(self, channel: int, side: int, x: FloatArray, grain: float) -> bool:
@@ -112,12 +110,12 @@ class Rails:
 def tops(x: FloatArray, grain: float) -> list[Top]:
     """Return the flat tops and bottoms of readings that were entered too fast to be rounded peaks.
 
-    Each is found in one block only: its last equal reading that makes it one lies behind the first `ENTRY`.
+    Each is found in one block only: its last equal reading that makes it one is not in the first RAIL_ENTRY.
     """
     found = []
     for start, stop in runs(np.asarray(np.diff(x) == 0)):
         count = stop - start + 1
-        if count < tuning.PLATEAU or start < tuning.BRAKED_OVER + 2 or start + tuning.PLATEAU <= ENTRY:
+        if count < tuning.PLATEAU or start < tuning.BRAKED_OVER + 2 or start + tuning.PLATEAU <= RAIL_ENTRY:
             continue
         side = int(x[start] > x[start - 1])
         near = np.abs(x - x[start]) <= abs(x[start] - x[start - 2])

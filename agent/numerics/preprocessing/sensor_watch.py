@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from agent.numerics.preprocessing.rails import ENTRY as RAIL_ENTRY
-from agent.numerics.preprocessing.rails import Rails
+from agent.numerics.preprocessing.rails import RAIL_ENTRY, Rails
 from agent.numerics.preprocessing.standing import Standing
 from agent.numerics.preprocessing.tuning import ENTRY, OVERSHOOT, PLATEAU
 from agent.types import BoolArray, FloatArray, IntArray

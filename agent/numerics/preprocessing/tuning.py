@@ -31,6 +31,7 @@ ROUND_OFF = 1e-10  # share of a signal's peak below which differences are the co
 # rails.py
 PLATEAU = 4  # equal readings that may be a clipped peak ...
 OVERSHOOT = 16.0  # ... if the motion would have gone so many steps (or noise) further: round ones go 4
+SURE_OVERSHOOT = 32.0  # the same where no second such peak follows: healthy 16-bit channels reached 25
 BRAKED_OVER = 3  # samples before the last whole step into a top over which its braking is told
 BRAKING = 3.5
 """Times the speed lost in each of them: the last whole step of a motion that was braked to rest is no more.

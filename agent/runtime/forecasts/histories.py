@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.errors import UsageError
 from agent.prognosis.forecast import forecast, learn_from
-from agent.prognosis.history import DAY_NS, History, blocks, disjoint, sound
+from agent.prognosis.history import History, blocks, disjoint, sound
 from agent.prognosis.learnt import Learnt
 from agent.prognosis.posterior import FULL, Effort
 from agent.prognosis.traces import Trace
@@ -22,6 +22,7 @@ from agent.storage.read.points import Points, points_of
 from agent.storage.read.tables import is_table, table_points
 from agent.storage.read.times import age_ns
 from agent.text import iso_time
+from agent.units import DAY_NS
 
 PRIOR = "deltak prior 1"
 _LATEST_NS = 253_402_300_799 * 10**9

@@ -14,10 +14,10 @@ from agent.errors import AgentError
 from agent.prognosis.change import Change, change
 from agent.prognosis.crossing import representative
 from agent.prognosis.forecast import Forecast, forecast
-from agent.prognosis.history import DAY_NS, History
+from agent.prognosis.history import History
 from agent.prognosis.learnt import Learnt
-from agent.prognosis.passage import FARTHEST
 from agent.prognosis.steps import events, find_steps, without
+from agent.prognosis.tuning import FARTHEST
 from agent.records import ForecastRecord, HealthEvent, Record, TrendRecord
 from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import common_sd, history_of, like_machines, window_s
@@ -26,6 +26,7 @@ from agent.runtime.tuning import MOMENT
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.text import iso_time
+from agent.units import DAY_NS
 
 SOURCE, FAILURE = "forecast", "failure"
 """What events of forecasts that could not be made are called."""

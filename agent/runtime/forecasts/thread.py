@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 
 from agent.runtime.forecasts.making import Forecaster, Made
-from agent.runtime.tuning import FORECASTS_WAITING, NICER, SETTLE_S
+from agent.runtime.tuning import FORECASTS_WAITING, PRIORITY_STEPS, SETTLE_S
 
 
 class ForecastThread:
@@ -105,6 +105,6 @@ def _lower_priority() -> None:
     """Let the other threads go first; on Linux priorities are of threads."""
     try:
         own = threading.get_native_id()
-        os.setpriority(os.PRIO_PROCESS, own, min(19, os.getpriority(os.PRIO_PROCESS, own) + NICER))
+        os.setpriority(os.PRIO_PROCESS, own, min(19, os.getpriority(os.PRIO_PROCESS, own) + PRIORITY_STEPS))
     except (AttributeError, OSError):
         return  # a system without it: the work is short

@@ -20,7 +20,7 @@ from agent.runtime.exchange import Prepared
 from agent.runtime.process.memory import keep_heap_small
 from agent.runtime.process.service_manager import ServiceManager
 from agent.runtime.service import Service
-from agent.runtime.tuning import ORPHAN_S
+from agent.runtime.tuning import WORKER_END_S
 from agent.runtime.workers.link import Link
 from agent.runtime.workers.orders import (
     BASELINES,
@@ -162,7 +162,7 @@ class Child:
 
     def _orphaned(self) -> None:
         """End soon: nobody writes any more what is computed."""
-        timer = threading.Timer(ORPHAN_S, os._exit, (1,))
+        timer = threading.Timer(WORKER_END_S, os._exit, (1,))
         timer.daemon = True
         timer.start()
         self._stop()
@@ -189,7 +189,7 @@ def main() -> None:
     keep_heap_small()
     child = Child(Connection(int(sys.argv[1])))
     code = child.run()
-    child.link.drain(ORPHAN_S)
+    child.link.drain(WORKER_END_S)
     os._exit(code)  # what is still under way is of no use to anybody
 
 

@@ -17,7 +17,7 @@ from agent.clock import monotonic_ns
 from agent.config import RigConfig
 from agent.runtime.process.heartbeats import Thread
 from agent.runtime.results import RunSummary
-from agent.runtime.tuning import MORE_EXPENDABLE
+from agent.runtime.tuning import SCORE_ADDED
 from agent.runtime.workers.link import Link
 from agent.runtime.workers.orders import BEAT, DONE, LOG, MAKE, RUN, STOP, Beat, Order
 from agent.runtime.workers.piped import BEGIN, LEFT, RECORDS
@@ -185,5 +185,5 @@ def _process(handle: int) -> "subprocess.Popen[bytes]":
                                stdout=subprocess.DEVNULL)  # fmt: skip
     with suppress(OSError):
         score = Path(f"/proc/{process.pid}/oom_score_adj")
-        score.write_text(str(min(1000, int(score.read_text()) + MORE_EXPENDABLE)))
+        score.write_text(str(min(1000, int(score.read_text()) + SCORE_ADDED)))
     return process

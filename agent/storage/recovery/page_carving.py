@@ -14,7 +14,7 @@ from agent.storage.database.columns import ADDED, TABLES, columns_of
 from agent.storage.database.schema import PAGE_SIZE
 from agent.storage.database.verify import good_rows
 from agent.storage.tables.rows import Row
-from agent.storage.tuning import CARVED_ROWS
+from agent.storage.tuning import CARVING_ROWS
 
 _LEAF = 0x0D
 _WAL_HEADER, _FRAME_HEADER = 32, 24
@@ -69,7 +69,7 @@ def _scanned(pages: Iterable[bytes]) -> Iterator[tuple[str, list[Row]]]:
             if table is None:
                 continue
             waiting.setdefault(table, []).append(_typed(table, _ordered(table, cells)))
-            if len(waiting[table]) >= CARVED_ROWS:
+            if len(waiting[table]) >= CARVING_ROWS:
                 yield table, _proven(table, waiting.pop(table))
     for table, rows in waiting.items():
         yield table, _proven(table, rows)

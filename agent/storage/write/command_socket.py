@@ -25,10 +25,10 @@ from typing import Any
 from agent.errors import AgentError, Fault, StoreError
 from agent.storage.database.files import beside
 from agent.storage.tuning import (
+    CONNECTIONS_WAITING,
     LIFE_SIGN_S,
     LONGEST_ANSWER,
     LONGEST_REQUEST,
-    MOST_CALLERS,
     MOST_COMMANDS,
     PATIENCE_S,
 )
@@ -120,7 +120,7 @@ class CommandServer:
     def _cut_off(self, selector: selectors.BaseSelector) -> None:
         """Close the connections of those who take too long, oldest first."""
         late = time.monotonic() - PATIENCE_S
-        while self._callers and (len(self._callers) > MOST_CALLERS or self._callers[0].since < late):
+        while self._callers and (len(self._callers) > CONNECTIONS_WAITING or self._callers[0].since < late):
             caller = self._callers.pop(0)
             selector.unregister(caller.peer)
             caller.peer.close()
@@ -188,7 +188,7 @@ def _listen(file: Path) -> socket.socket:
         with _short_name(file) as name:
             listener.bind(name)
         _admit(file, command_group())
-        listener.listen(MOST_CALLERS)
+        listener.listen(CONNECTIONS_WAITING)
     except BaseException:
         listener.close()
         raise

@@ -158,7 +158,7 @@ class TierKeeper:
         self._runs[part] = self._progress(part, growing=True)
         if self._oldest(part, 0) is None:
             self._recent.begin(part)
-        for old in self._parts[run_id][: -tuning.GROWING_PARTS]:
+        for old in self._parts[run_id][: -tuning.OPEN_PARTS]:
             self._parts[run_id].remove(old)
             self._runs[old].growing = False
 

@@ -46,7 +46,7 @@ from agent.storage.tables.records import newest_learnt
 from agent.storage.tables.rows import Names, Numbers, Plan
 from agent.storage.tables.run_rows import RunRows, run_plan
 from agent.storage.tables.shelves import Shelf
-from agent.storage.tuning import CELLS_A_CHECKPOINT, COMMITS_A_CHECKPOINT, LAG_MEMORY_NS, SPILL_BYTES
+from agent.storage.tuning import CELLS_A_CHECKPOINT, CHECKPOINT_EVERY, LAG_MEMORY_NS, SPILL_BYTES
 from agent.storage.write.retention import Retention, TierKeeper
 from agent.storage.write.spill import merge, open_spill
 from agent.storage.write.watermark import Watermarks
@@ -332,7 +332,7 @@ class Store:
 
     def _checkpoint_if_due(self) -> None:
         commits, cells = self._since_checkpoint
-        if commits >= COMMITS_A_CHECKPOINT or cells >= CELLS_A_CHECKPOINT:
+        if commits >= CHECKPOINT_EVERY or cells >= CELLS_A_CHECKPOINT:
             frames, moved = self.checkpoint()
             if self._side is None and moved < frames > _FRAMES_BEFORE_SPILL:
                 self._side = open_spill(self.path)

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from drivers.can.codec.frames import FRAME, Frames, no_frames
-from drivers.can.tuning import CALL_FRAMES
+from drivers.can.tuning import BATCH_FRAMES
 from drivers.port import IntArray
 
 _SO_TIMESTAMPNS = 35
@@ -70,7 +70,7 @@ class BatchReceiver:
         lost: the kernel's count, so far, of frames that it had no room for; 32 bits, wrapping.
     """
 
-    def __init__(self, descriptor: int, most: int = CALL_FRAMES) -> None:
+    def __init__(self, descriptor: int, most: int = BATCH_FRAMES) -> None:
         self.lost = 0
         self._call = _library().recvmmsg
         self._descriptor = descriptor

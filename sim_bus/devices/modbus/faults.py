@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers import crc
 from sim_bus.rig.fault_names import EXCEPTIONS
-from sim_bus.tuning import BYTE_S, LATE_SHARE, RUBBISH_BYTES, SLOW_SHARE
+from sim_bus.tuning import BYTE_S, LATE_SHARE, NOISE_BYTES, SLOW_SHARE
 
 Framing = Literal["tcp", "rtu"]
 Deliveries = list[tuple[float, bytes | None]]
@@ -107,4 +107,4 @@ class ReplyFaults:
             adu = adu[:place] + bytes([adu[place] ^ 1 << bit]) + adu[place + 1 :]
         if "truncate" in names:
             adu = adu[: len(adu) // 2]
-        return self._rng.bytes(RUBBISH_BYTES) + adu if "garbage" in names else adu
+        return self._rng.bytes(NOISE_BYTES) + adu if "garbage" in names else adu

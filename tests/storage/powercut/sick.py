@@ -71,7 +71,7 @@ def life(  # noqa: PLR0917 - the arguments are what a line of JSON says
 
 
 def main() -> None:
-    store_module.COMMITS_A_CHECKPOINT = 5
+    store_module.CHECKPOINT_EVERY = 5
     backlog.SHORTEST_S, backlog.LONGEST_S = 0.005, 0.02
     for line in sys.stdin:
         pid = os.fork()

@@ -58,7 +58,7 @@ def records(profile: Profile, number: int) -> list[Record]:
 
 def main(path: str, name: str, count: str, synchronous: str) -> None:
     profile = PROFILES[name]
-    store_module.COMMITS_A_CHECKPOINT = profile.commits_a_checkpoint
+    store_module.CHECKPOINT_EVERY = profile.commits_a_checkpoint
     if synchronous != "FULL":
         connect._WRITER = (*connect._WRITER, f"PRAGMA synchronous = {synchronous}")
     with Store.open(Path(path), profile.keep) as store:

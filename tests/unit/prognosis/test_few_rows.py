@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from agent.prognosis.change import Change, change
-from agent.prognosis.history import DAY_NS, History, disjoint
+from agent.prognosis.history import History, disjoint
+from agent.units import DAY_NS
 
 SECOND = 1_000_000_000
 

@@ -28,6 +28,9 @@ from agent.text import iso_time
 
 SOURCE, FAILURE = "forecast", "failure"
 """What events of forecasts that could not be made are called."""
+MOST_ROWS = 10_000
+"""Rows that a forecast reads: of longer histories minutes, then hours, as of a day's rows the arrays alone
+took a tenth of a small agent's memory."""
 MOMENT = 60.0
 """A history shorter than this part of the time between forecasts is too short, whatever it looks like."""
 _LAST_NS = 2**63 - 1
@@ -90,9 +93,8 @@ class Forecaster:
     def _made(self, cause: str, parameter: str, until_ns: int | None) -> Made:
         if parameter not in queries.parameters(self._db, self.rig):
             return Made()  # no row yet
-        points = points_of(
-            self._db, self.rig, parameter, until=None if until_ns is None else iso_time(until_ns)
-        )
+        until = None if until_ns is None else iso_time(until_ns)
+        points = points_of(self._db, self.rig, parameter, until=until, most=MOST_ROWS)
         if not len(points.t_ns):
             return Made()
         points = compensated(self._db, points).points

@@ -11,6 +11,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 
 from agent.runtime.forecasts.making import Forecaster, Made
+from agent.runtime.process.memory import release_free_pages
 
 SETTLE_S = 2.0
 """How long after it was asked a forecast is begun, so that the rows that led to it are stored."""
@@ -88,6 +89,7 @@ class ForecastThread:
             if forecaster is None:  # the rig left meanwhile
                 continue
             made = forecaster.make(cause, (parameter,))
+            release_free_pages()
             with self._condition:
                 self.progress += 1
                 if self._forecasters.get(rig) is forecaster:

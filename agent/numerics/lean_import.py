@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-_UNUSED = ("f2py", "testing", "ctypeslib", "polynomial", "char", "rec", "strings", "core", "matlib")
+_UNUSED = ("f2py", "testing", "ctypeslib", "polynomial", "char", "ma", "rec", "strings", "core", "matlib")
 
 
 def _import_scipy() -> None:

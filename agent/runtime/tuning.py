@@ -75,6 +75,9 @@ SCORE_ADDED = 200  # added to a worker's score for Linux's out-of-memory killer:
 
 # forecasts/histories, making, schedule, scoring, thread
 HISTORY_MEANS = 1000  # means a history is thinned to: a year costs little more than a day
+FORECAST_ROWS = 10_000
+"""Rows that a forecast reads: of longer histories minutes, then hours, as of a day's rows the arrays alone
+took a tenth of a small agent's memory."""
 MOMENT = 60.0  # a history shorter than this part of the time between forecasts is too short
 FORECASTS_AT_ONCE = 100  # instants made up for; where more have passed nothing was recorded meanwhile
 ALARM_FORECASTS = 60  # forecasts at alarms are apart by this part of the time between others

@@ -178,7 +178,7 @@ def _kernel(matrix: FloatArray, tolerance: float) -> FloatArray:
 
 def _balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return A scaled by a diagonal similarity so rows and columns weigh alike, and the (n,) scaling of C."""
-    from scipy.linalg import matrix_balance
+    from scipy.linalg.lapack import dgebal  # scipy's matrix_balance imports masked arrays, which take 1 MB
 
-    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    return np.asarray(balanced, dtype=np.float64), np.asarray(scale, dtype=np.float64)
+    balanced, _, _, scale, _ = dgebal(A, scale=1, permute=0)
+    return np.asarray(balanced), np.asarray(scale)

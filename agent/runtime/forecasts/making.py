@@ -22,7 +22,7 @@ from agent.records import ForecastRecord, HealthEvent, Record, TrendRecord
 from agent.runtime.forecasts.compensated import compensated
 from agent.runtime.forecasts.histories import common_sd, history_of, like_machines, window_s
 from agent.runtime.forecasts.scoring import scores_of
-from agent.runtime.tuning import MOMENT
+from agent.runtime.tuning import FORECAST_ROWS, MOMENT
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of
 from agent.text import iso_time
@@ -90,9 +90,8 @@ class Forecaster:
     def _made(self, cause: str, parameter: str, until_ns: int | None) -> Made:
         if parameter not in queries.parameters(self._db, self.rig):
             return Made()  # no row yet
-        points = points_of(
-            self._db, self.rig, parameter, until=None if until_ns is None else iso_time(until_ns)
-        )
+        until = None if until_ns is None else iso_time(until_ns)
+        points = points_of(self._db, self.rig, parameter, until=until, most=FORECAST_ROWS)
         if not len(points.t_ns):
             return Made()
         points = compensated(self._db, points).points

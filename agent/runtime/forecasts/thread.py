@@ -11,6 +11,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 
 from agent.runtime.forecasts.making import Forecaster, Made
+from agent.runtime.process.memory import release_free_pages
 from agent.runtime.tuning import FORECASTS_WAITING, PRIORITY_STEPS, SETTLE_S
 
 
@@ -81,6 +82,7 @@ class ForecastThread:
             if forecaster is None:  # the rig left meanwhile
                 continue
             made = forecaster.make(cause, (parameter,))
+            release_free_pages()
             with self._condition:
                 self.progress += 1
                 if self._forecasters.get(rig) is forecaster:

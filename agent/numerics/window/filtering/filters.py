@@ -143,10 +143,15 @@ class Filters:
     """The filters of a hop's head and rest, and their way from hop to hop."""
 
     def __init__(self, system: System, plan: HopPlan) -> None:
+        self._made_of = system, plan
         self.size = system.size
         self.head, self.rest = divide(plan.head), divide(plan.rest)
         self._cells = lifted(system, (*self.head, *self.rest))
         self._over_hops = powers_of(np.linalg.matrix_power(system.F, plan.hop))
+
+    def __reduce__(self) -> tuple[type["Filters"], tuple[System, HopPlan]]:
+        """Return what they are made of: the rest is a megabyte, in each state of a rig that is remembered."""
+        return Filters, self._made_of
 
     def over(self, v: FloatArray, course: Course) -> tuple[FloatArray, list[FloatArray], Course]:
         """Run over N units of rest and head, v (N, H, p+m).
@@ -188,39 +193,40 @@ def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:
     longest = max(lengths)
     nz = system.size.z
     rows = system.H.reshape(-1, nz)
-    free = np.empty((longest + 1, *system.H.shape))  # H F^k
+    free = np.empty((longest, *system.H.shape))  # H F^k
     forced = np.empty((longest, *system.N.shape))  # F^k N
-    powers = np.empty((longest + 1, nz, nz))
+    powers: dict[int, FloatArray] = {}  # of the lengths alone: all would take megabytes
     power = np.eye(nz)
-    for k in range(longest + 1):
+    for k in range(longest):
         free[k] = (rows @ power).reshape(system.H.shape)
-        powers[k] = power
+        forced[k] = power @ system.N
         power = system.F @ power
-    forced[:] = powers[:longest] @ system.N
+        if k + 1 in lengths:
+            powers[k + 1] = power
     markov = np.concatenate([system.J[None], np.einsum("ipz,kzw->kipw", system.H, forced[: longest - 1])])
     impulse = np.zeros((*system.J.shape[:1], longest, system.size.p, longest, system.J.shape[-1]))
     for k in range(longest):
         impulse[:, k, :, : k + 1] = markov[k::-1].transpose(1, 2, 0, 3)
-    return {L: _cell(system.size, L, free, (forced, powers), impulse) for L in sorted(set(lengths))}
+    return {L: _cell(system.size, powers[L], free[:L], forced[:L], impulse) for L in sorted(powers)}
 
 
 def _cell(
-    size: Sizes, L: int, free: FloatArray, states: tuple[FloatArray, FloatArray], impulse: FloatArray
+    size: Sizes, transition: FloatArray, free: FloatArray, forced: FloatArray, impulse: FloatArray
 ) -> Cell:
     a, n, p, c = size.a, size.n, size.p, size.c
-    forced, powers = states
+    L = len(free)
     T = impulse[:, :L, :, :L]
     rows = L * p
-    innovation = np.vstack([T[0].reshape(rows, -1).T, free[:L, 0, :, :a].reshape(rows, a).T])
-    from_mean = free[:L, 1:, :, a : a + n].transpose(1, 0, 2, 3).reshape(c * rows, n).T
-    tangent = free[:L, 1, :, a + n : 2 * a + n].reshape(rows, a).T
-    after = forced[:L][::-1]
+    innovation = np.vstack([T[0].reshape(rows, -1).T, free[:, 0, :, :a].reshape(rows, a).T])
+    from_mean = free[:, 1:, :, a : a + n].transpose(1, 0, 2, 3).reshape(c * rows, n).T
+    tangent = free[:, 1, :, a + n : 2 * a + n].reshape(rows, a).T
+    after = forced[::-1]
     return Cell(
         L, innovation, np.vstack([T[1:, ..., p:].reshape(c * rows, -1).T, from_mean]),
         np.ascontiguousarray(tangent),
         np.ascontiguousarray(after[:, :a].transpose(0, 2, 1).reshape(-1, a)),
         np.ascontiguousarray(after[:, a:, p:].transpose(0, 2, 1).reshape(L * size.m, -1)),
-        np.ascontiguousarray(powers[L].T), size,
+        np.ascontiguousarray(transition.T), size,
     )  # fmt: skip
 
 

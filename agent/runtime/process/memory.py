@@ -10,8 +10,7 @@ from agent.runtime.tuning import LARGE_BYTES
 TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8
 """Fixed by malloc.h: parameters of mallopt(3), by its numbers in malloc.h."""
 
-_DONTNEED = 4
-"""Of madvise(2)."""
+_DONTNEED = 4  # fixed by madvise(2)
 _TEXT = re.compile(r"^(\w+)-(\w+) r-.p \w+ \S+ [1-9].*\n(?:[A-Z].*\n)*?Anonymous: +0 kB", re.MULTILINE)
 """A mapping of a file in proc_pid_smaps(5) that cannot be written to, and of which no page is private."""
 

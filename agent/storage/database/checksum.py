@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _POLYNOMIAL = 0xEDB88320
+FEW = 400
+"""Rows up to so many are taken one after the other: all at once takes 0.6 ms whatever their number."""
 _CHUNK = 2048  # rows whose bytes stay in the processor's cache while their columns are walked
 
 Cell = int | float | str | None
@@ -68,10 +70,12 @@ def column_crc(*columns: NDArray[np.int64] | NDArray[np.float64], later: int = 0
 
 def _crc(columns: Sequence[NDArray[np.int64] | NDArray[np.float64]]) -> NDArray[np.int32]:
     rows = len(columns[0])
-    table, start = _position_tables(8 * len(columns))
     packed = np.empty((rows, len(columns)), dtype="<i8")
     for place, column in enumerate(columns):
         packed[:, place] = _bits(column)
+    if rows <= FEW:
+        return np.array([zlib.crc32(row.data) for row in packed], dtype=np.uint32).view(np.int32)
+    table, start = _position_tables(8 * len(columns))
     out = np.full(rows, start, dtype=np.uint32)
     for first in range(0, rows, _CHUNK):
         part = np.ascontiguousarray(packed[first : first + _CHUNK].view(np.uint8).T)

@@ -4,6 +4,8 @@ import sys
 from collections.abc import Callable
 
 Progress = Callable[[str], None]
+WIDTH = 60
+"""Characters that words may take."""
 
 
 def silent(_words: str) -> None:
@@ -19,5 +21,6 @@ def on_terminal() -> Progress:
 
 
 def _show(words: str) -> None:
-    sys.stderr.write(f"\r\x1b[K{words}")
+    """Overwrite by spaces: not every terminal knows a sequence that clears a line."""
+    sys.stderr.write(f"\r{words:<{WIDTH}}" if words else f"\r{'':<{WIDTH}}\r")
     sys.stderr.flush()

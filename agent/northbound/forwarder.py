@@ -182,7 +182,8 @@ class Forwarder:
             self._peer = peer
             peer.open()
         self._peer.check()
-        is_behind = [self._send_new(topic) for topic in self._topics]
+        heads = self._feed.reached(self._topics)
+        is_behind = [self._send_new(topic, heads[topic]) for topic in self._topics]
         is_lacking = not any(is_behind) and self._fill()
         self._reached()
         if any(is_behind) or is_lacking:
@@ -208,9 +209,11 @@ class Forwarder:
         """Return the number of the period that the wall clock is in."""
         return wall_ns() // round(self.consumer.every * 1e9)
 
-    def _send_new(self, topic: str) -> bool:
-        """Send what is new of a topic, a batch; tell whether there may be more."""
+    def _send_new(self, topic: str, head: int) -> bool:
+        """Send what is new of a topic up to `head`, a batch; tell whether there may be more."""
         position = self._position(topic)
+        if position.live >= head:
+            return self._is_behind(topic, False)
         behind_s = (monotonic_ns() - self._behind_ns.get(topic, monotonic_ns())) / 1e9
         if not self.consumer.is_periodic and behind_s > self._late_s:
             position = self._left_behind(topic, position)

@@ -51,6 +51,9 @@ STAGES: dict[str, tuple[type, str]] = {
     "estimation": (Estimation, "step"),
     "alarms": (LevelAlarms, "step"),
 }
+KINDS = (("read ", "read and decode"), ("north-", "northbound"), ("paho-", "northbound"))
+OTHERS = "store and others"
+"""What threads do, by how their names begin; libraries that serve consumers are counted with them."""
 TICKS = os.sysconf("SC_CLK_TCK")
 CORES = sorted(os.sched_getaffinity(0))
 
@@ -98,15 +101,18 @@ class Capacity:
         return max(self.cost, key=lambda stage: self.cost[stage])
 
 
-def configure(bus: str, rigs: int, folder: Path) -> list[Path]:
-    """Write the demo's rig so many times, each with a device of its own; CAN carries FD frames."""
+def configure(bus: str, rigs: int, folder: Path, more: str = "") -> list[Path]:
+    """Write the demo's rig so many times, each with a device of its own; CAN carries FD frames.
+
+    more: further tables of each file.
+    """
     paths = []
     for number in range(rigs):
         own = folder / f"{bus}{number}"
         own.mkdir()
         path = write_config(bus, WIDE if bus == "can" else COARSE, own, fast=True).config
         text = path.read_text(encoding="utf-8").replace('name = "demo"', f'name = "rig-{number}"')
-        path.write_text(text.replace("every_s = 0", "every_s = 1.0"), encoding="utf-8")
+        path.write_text(text.replace("every_s = 0", "every_s = 1.0") + more, encoding="utf-8")
         paths.append(path)
     return paths
 
@@ -135,7 +141,9 @@ def agent(configs: list[str], folder: Path) -> None:
     os.sched_setaffinity(0, CORES[:1])
     logging.disable(logging.CRITICAL)
     spent = _measured_stages()
-    service = Service(load_many([Path(config) for config in configs]), folder / "agent.db", "live")
+    rigs = load_many([Path(config) for config in configs])
+    own = bool(rigs[0].north)  # a database each, and so a thread and a connection each: what costs most
+    service = Service(rigs, None if own else folder / "agent.db", "live")
     main = threading.get_native_id()
     found: dict[str, Any] = {}
     watch = threading.Thread(target=_watch, args=(service, main, spent, found), daemon=True)
@@ -193,27 +201,21 @@ def _waited_s(connection: Connection) -> float:
 
 
 def _threads(main: int) -> Counter[str]:
-    """Return the processor time of this process's threads, ns: read, main, and the others together."""
+    """Return the processor time of this process's threads, ns: main, those of KINDS, the others together."""
     names = {thread.native_id: thread.name for thread in threading.enumerate()}
     spent: Counter[str] = Counter()
     for task in Path("/proc/self/task").iterdir():
         fields = (task / "stat").read_text().rpartition(")")[2].split()
         number, name = int(task.name), names.get(int(task.name), "")
-        kind = (
-            "main"
-            if number == main
-            else "read and decode"
-            if name.startswith("read ")
-            else "store and others"
-        )
+        kind = "main" if number == main else next((k for start, k in KINDS if name.startswith(start)), OTHERS)
         spent[kind] += (int(fields[11]) + int(fields[12])) * 10**9 // TICKS
     return spent
 
 
-def measure(bus: str, rigs: int) -> Capacity:
-    """Run so many rigs on one bus and return what they cost."""
+def measure(bus: str, rigs: int, more: str = "") -> Capacity:
+    """Run so many rigs on one bus and return what they cost; more: further tables of each file."""
     with TemporaryDirectory() as name, ExitStack() as stack:
-        configs = [str(path) for path in configure(bus, rigs, Path(name))]
+        configs = [str(path) for path in configure(bus, rigs, Path(name), more)]
         player = _part(stack, "devices", *configs)
         assert _line(player) == "ready\n"
         listener = _part(stack, "agent", name, *configs)

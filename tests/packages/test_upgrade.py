@@ -243,6 +243,13 @@ def test_check_says_every_fault_on_stderr_beside_a_document_too(
     assert not options or json.loads(said.out)["ok"] is False
 
 
+def test_check_of_a_database_that_is_not_there_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert guarded(app, ["upgrade", "--check", str(tmp_path / "typo.db")]) == 3
+    assert "typo.db: there is no such database" in capsys.readouterr().err
+
+
 def test_check_says_when_there_is_no_room(monkeypatch: pytest.MonkeyPatch, db: Path) -> None:
     monkeypatch.setattr(check, "_free", lambda _: 1000)
     (error,) = check.check([db])["errors"]

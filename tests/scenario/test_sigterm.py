@@ -63,13 +63,14 @@ def test_sigterm_before_the_command_has_begun_exits_0(args: list[str]) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_demo_that_is_ended_leaves_no_process(number: int, tmp_path: Path) -> None:
-    with deltak("demo", scratch=str(tmp_path)) as process:
+    with deltak("demo", "--json", scratch=str(tmp_path)) as process:
         wait_until(lambda: len(children(process.pid)) == 2, "device and agent")
         started = children(process.pid)
         process.send_signal(number)
-        process.communicate(timeout=LIMIT_S)
+        out, _ = process.communicate(timeout=LIMIT_S)
         wait_until(lambda: not any(map(alive, started)), "the end of both")
     assert process.returncode == (0 if number == signal.SIGTERM else -number)
+    assert ("ended by SIGTERM before it was done" in out) == (number == signal.SIGTERM)
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130)])

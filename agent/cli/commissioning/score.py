@@ -1,10 +1,10 @@
 """The table of `deltak score`, and its progress on a terminal."""
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from agent.cli.terminal.output import print_table, show
+from agent.commissioning.progress import on_terminal
 from agent.text import number
 
 NOT_MET = 1
@@ -16,15 +16,8 @@ _COLUMNS = ("scenario", "", "error rms / sd", "covered %", "delay s", "missed", 
 
 def progress() -> Callable[[str, float], None]:
     """Return what shows how far a scenario has been played, in one line; nothing without a terminal."""
-    if not sys.stderr.isatty():
-        return lambda _name, _share: None
-    return _show_progress
-
-
-def _show_progress(name: str, share: float) -> None:
-    end = "\r" if share < 1.0 else "\r\x1b[K"
-    sys.stderr.write(f"{name}: {100.0 * share:3.0f} %{end}")
-    sys.stderr.flush()
+    show_words = on_terminal()
+    return lambda name, share: show_words(f"{name}: {100.0 * share:3.0f} %" if share < 1.0 else "")
 
 
 def print_score(document: Mapping[str, Any]) -> None:

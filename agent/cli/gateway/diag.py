@@ -23,7 +23,7 @@ from agent.errors import AgentError, RecordingError, StoreError, UsageError
 from agent.recording import blocks
 from agent.recording.setup import FOLDER
 from agent.storage.database.connect import connect_reader
-from agent.storage.database.files import opened
+from agent.storage.database.files import Kind, check_place, kind_of, opened, refuse
 from agent.text import counted
 
 
@@ -76,12 +76,12 @@ _SCHEMA = "SELECT type, name, sql FROM sqlite_master ORDER BY type, name"
 def diag(named: Path | None, to: Path) -> Document:
     """Write the bundle of an agent, or of a database and configuration whose agent does not run.
 
-    Raises StoreError for a path where nothing is, UsageError where the bundle cannot be written; whatever
-    else is not there is said in the bundle.
+    Raises StoreError for a path where nothing is or what was never a database, UsageError where the bundle
+    cannot be written; whatever else is not there is said in the bundle.
     """
     db = database_of(named)
-    if named == db and not os.path.lexists(db):
-        raise StoreError.at(db, "there is no such database", "give the path that the agent writes to")
+    if named == db:
+        _need_database(db)
     status, why = _answer(db, "status")
     configs = _configs(named, status)
     redaction = Redaction(configs)
@@ -106,6 +106,14 @@ def diag(named: Path | None, to: Path) -> Document:
         "parts": sorted(texts | samples),
         "agent": status is not None,
     }
+
+
+def _need_database(db: Path) -> None:
+    if not os.path.lexists(db):
+        raise StoreError.at(db, "there is no such database", "give the path that the agent writes to")
+    check_place(db)
+    if kind_of(db) is Kind.FOREIGN:
+        refuse(db, Kind.FOREIGN)
 
 
 def print_diag(found: Document) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import typer
 
 from agent.cli.terminal.logs import set_up_logging
-from agent.cli.terminal.output import fault_of, print_faults
-from agent.cli.terminal.signals import INTERRUPTED, interrupted
+from agent.cli.terminal.output import fault_document, fault_of, print_faults, print_json
+from agent.cli.terminal.signals import INTERRUPTED, Terminated, interrupted
 from agent.cli.terminal.streams import ReaderGoneError, guarded_streams
 from agent.errors import Fault, UsageError
 
@@ -44,10 +44,27 @@ def _code(app: typer.Typer, args: Sequence[str], flags: Flags) -> int:
     except ReaderGoneError:
         return 0
     except (KeyboardInterrupt, typer.Abort):
-        return interrupted()
+        return _interrupted(flags)
+    except Terminated:
+        _say_ended(flags, "SIGTERM")
+        raise
     except Exception as error:  # noqa: BLE001 the one place where all that is unforeseen ends
         return report(error, flags)
-    return interrupted() if code == INTERRUPTED else int(code or 0)
+    return _interrupted(flags) if code == INTERRUPTED else int(code or 0)
+
+
+def _interrupted(flags: Flags) -> int:
+    _say_ended(flags, "SIGINT")
+    return interrupted()
+
+
+def _say_ended(flags: Flags, signal: str) -> None:
+    """Give whoever waits for a JSON document one; not where another was begun."""
+    if flags.json and not getattr(sys.stdout, "is_used", True):
+        fault = Fault("deltak", f"ended by {signal} before it was done", "run it again for its document")
+        with suppress(UsageError, ReaderGoneError):
+            print_json({"errors": [fault_document(fault)]})
+            sys.stdout.flush()
 
 
 def take_flags(argv: Sequence[str]) -> tuple[list[str], Flags]:

@@ -19,9 +19,12 @@ class _Output:
 
     def __init__(self, stream: TextIO, failed: Callable[[OSError], None]) -> None:
         self._stream, self._failed = stream, failed
+        self.is_used = False
+        """Whether anything was written."""
 
     def write(self, text: str) -> int:
         """Write text; what could not be written is thrown away."""
+        self.is_used |= bool(text)
         try:
             return self._stream.write(text)
         except UnicodeEncodeError as error:  # a terminal that knows fewer characters

@@ -126,6 +126,8 @@ def _plan(path: Path) -> dict[str, Any]:
     check_place(path)
     kind = kind_of(path)
     refuse(path, kind)
+    if not path.exists():
+        raise StoreError.at(path, "there is no such database", "give the path that the agent writes to")
     if kind is Kind.MISSING:
         return {"action": "create", "free_bytes": _free(path), "needs_bytes": WAL_BOUND, "back": READS_ALL}
     version = _version(path)

@@ -54,6 +54,7 @@ class Connection:
         self._lost: str | None = None
         self._said = ""
         self._acknowledged: dict[int, ReasonCode | None] = {}
+        self._awaited: set[int] = set()
         self._on_message = on_message
         self._client = Client(
             CallbackAPIVersion.VERSION2,
@@ -100,6 +101,7 @@ class Connection:
 
     def acknowledged(self, numbers: set[int]) -> None:
         """Wait until the broker has acknowledged messages. Raises PeerError."""
+        self._awaited = numbers
         self.wait(lambda: numbers <= self._acknowledged.keys(), "no acknowledgement")
         with self._changed:
             answers = [self._acknowledged.pop(number) for number in numbers]
@@ -200,7 +202,8 @@ class Connection:
     ) -> None:
         with self._changed:
             self._acknowledged[number] = reason
-            self._changed.notify_all()
+            if self._awaited <= self._acknowledged.keys():
+                self._changed.notify_all()
 
     def _subscribed(
         self,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.storage.tuning import CHECKSUM_ROWS
+from agent.storage.tuning import CHECKSUM_FEW, CHECKSUM_ROWS
 
 _POLYNOMIAL = 0xEDB88320  # fixed by CRC-32 of ISO 3309
 
@@ -69,10 +69,12 @@ def column_crc(*columns: NDArray[np.int64] | NDArray[np.float64], later: int = 0
 
 def _crc(columns: Sequence[NDArray[np.int64] | NDArray[np.float64]]) -> NDArray[np.int32]:
     rows = len(columns[0])
-    table, start = _position_tables(8 * len(columns))
     packed = np.empty((rows, len(columns)), dtype="<i8")
     for place, column in enumerate(columns):
         packed[:, place] = _bits(column)
+    if rows <= CHECKSUM_FEW:
+        return np.array([zlib.crc32(row.data) for row in packed], dtype=np.uint32).view(np.int32)
+    table, start = _position_tables(8 * len(columns))
     out = np.full(rows, start, dtype=np.uint32)
     for first in range(0, rows, CHECKSUM_ROWS):
         part = np.ascontiguousarray(packed[first : first + CHECKSUM_ROWS].view(np.uint8).T)

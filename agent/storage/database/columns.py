@@ -84,6 +84,7 @@ ADDED = {"estimates": ("repeat",)}
 """Columns, all REAL, that a later version added: after `crc` in the file and before it everywhere else."""
 
 
+@cache
 def columns_of(table: str) -> list[str]:
     """Return the columns of a table in order, with seq and crc."""
     return [

@@ -48,9 +48,14 @@ class Feed:
         self._file: tuple[int, int] | None = None
         self._batches = 0
 
+    def reached(self, topics: Sequence[str]) -> dict[str, int]:
+        """Return the cursors, by topic, of whoever has all that there is. Raises StoreError."""
+        found: dict[str, int] = self._asked(lambda reader: {topic: _head(reader, topic) for topic in topics})
+        return found
+
     def head(self, topic: str) -> int:
-        """Return the cursor of whoever has all that there is of a topic. Raises StoreError."""
-        return int(self._asked(lambda reader: _head(reader, topic)))
+        """Return the same of one topic."""
+        return self.reached((topic,))[topic]
 
     def after(self, topic: str, cursor: int, until: int | None, most: int) -> Chunk:
         """Return what was stored of a topic after a cursor: instants of estimates, or rows, `most` at once.
@@ -91,8 +96,11 @@ class Feed:
             raise
 
     def _opened(self) -> Reader:
-        found = self._path.stat() if self._path.exists() else None
-        file = None if found is None else (found.st_dev, found.st_ino)
+        try:
+            found = self._path.stat()
+            file: tuple[int, int] | None = (found.st_dev, found.st_ino)
+        except FileNotFoundError:
+            file = None
         if file != self._file or self._batches >= BATCHES_A_CONNECTION:
             self.close()
         if self._reader is None:
@@ -106,7 +114,7 @@ class Feed:
 def all_reached(path: Path) -> dict[str, int]:
     """Return the cursor by topic of whoever has all of a database; from any thread. Raises StoreError."""
     with closing(Feed(path)) as feed:
-        return {topic: feed.head(topic) for topic in _TABLES}
+        return feed.reached(tuple(_TABLES))
 
 
 def lag(topic: str, numbers: int) -> int:

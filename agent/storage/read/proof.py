@@ -32,6 +32,7 @@ _INDEXED = {
 """Columns that an index holds as well, by table."""
 _WHOLE = ("overlaps", "alarms", "clocks", "annotations", "sites", "baselines")
 """Short tables that views look into for a row that may not be there."""
+_SELDOM_GROW = ("rigs", "runs", "series")
 FIRST, LAST = -(2**63), 2**63 - 1
 """Fixed by 64 bits: the ends of a stretch that is open: of stamps, ns, and of row numbers."""
 
@@ -50,11 +51,10 @@ def proven(
     first_hop: from which row of `hops` on their index is compared with them; older ones are not asked for.
     numbered: the alias of the table whose numbers follow the view's columns, as `seq`.
     """
-    query, parts = _traced(view)
+    query, parts, looked_into = _traced(view)
     width = sum(1 + len(_INDEXED.get(table, ())) for table in parts)
-    for table in _WHOLE:
-        if re.search(rf"\b{table}\b", query):
-            prove_whole(reader, table)
+    for table in looked_into:
+        prove_whole(reader, table)
     for table in parts:
         prove_listed(reader, table, first_hop if table == "hops" else FIRST)
     more = f", {row_of(numbered)} AS seq" if numbered else ""
@@ -168,12 +168,21 @@ def _sound(
         for table in parts:
             columns = _INDEXED.get(table, ())
             seen = list(zip(*said[place : place + 1 + len(columns)], strict=True))
-            bad = differing(reader, table, columns, set(seen))
+            bad = _bad(reader, table, columns, set(seen))
             if bad:
                 wrong.update(i for i, cells in enumerate(seen) if cells in bad)
             place += 1 + len(columns)
         reader.refuse(len(wrong))
         yield from (row[width:] for i, row in enumerate(rows) if i not in wrong)
+
+
+def _bad(reader: Reader, table: str, columns: Sequence[str], seen: set[Cells]) -> set[Cells]:
+    """Return what `differing` does; rows of tables that seldom grow are proved once a connection."""
+    unknown = seen - reader.proved[table]
+    bad = differing(reader, table, columns, unknown) if unknown else unknown
+    if table in _SELDOM_GROW:
+        reader.proved[table] |= unknown - bad
+    return bad
 
 
 def _repeated(heads: Sequence[Cells], before: set[Cells]) -> set[int]:
@@ -317,10 +326,11 @@ def _first_ones(numbers: IntArray) -> BoolArray:
 
 
 @cache
-def _traced(view: str) -> tuple[str, tuple[str, ...]]:
+def _traced(view: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     """Return a view's text with the numbers and indexed columns of its rows before its own; and their tables.
 
-    What is joined by LEFT JOIN is of `_WHOLE`: there may be no row to be read once more.
+    Behind them those of `_WHOLE` that it looks into. What is joined by LEFT JOIN is one of these: there may
+    be no row to be read once more.
     """
     _, text = own_schema()["view", view]
     columns = re.split(r"\bSELECT\b", str(text), maxsplit=1)[1]
@@ -335,4 +345,6 @@ def _traced(view: str) -> tuple[str, tuple[str, ...]]:
         for table, alias in parts
         for name in ("seq", *_INDEXED.get(table, ()))
     )
-    return f"SELECT {', '.join(traced)}, {columns}", tuple(table for table, _ in parts)
+    query = f"SELECT {', '.join(traced)}, {columns}"
+    looked_into = tuple(table for table in _WHOLE if re.search(rf"\b{table}\b", query))
+    return query, tuple(table for table, _ in parts), looked_into

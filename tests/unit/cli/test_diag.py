@@ -125,7 +125,11 @@ def test_bundle_is_readable_by_nobody_else_and_written_through_no_link(tmp_path:
     assert others.read_text() == "as it was"
 
 
-def test_bundle_of_a_path_where_nothing_is_is_refused(tmp_path: Path) -> None:
+def test_bundle_of_a_path_where_no_database_is_is_refused(tmp_path: Path) -> None:
+    bundle = tmp_path / "b.tar.gz"
     with pytest.raises(StoreError, match="there is no such database"):
-        diag(tmp_path / "typo.db", tmp_path / "b.tar.gz")
-    assert not list(tmp_path.iterdir())
+        diag(tmp_path / "typo.db", bundle)
+    (tmp_path / "notes.txt").write_text("shopping: milk, bread")
+    with pytest.raises(StoreError, match="this file is not a deltak database"):
+        diag(tmp_path / "notes.txt", bundle)
+    assert not bundle.exists()

@@ -1,15 +1,22 @@
 """What came from a bus or file reaches no terminal as an order to it, in whatever form rows are asked for."""
 
+import contextlib
 import io
+import json
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import pytest
+import typer
 
 from agent.cli.commissioning.baseline import write_export
+from agent.cli.terminal.errors import guarded
 from agent.cli.terminal.output import print_csv, print_faults, print_json, print_rows, print_table, show
+from agent.cli.terminal.signals import Terminated
+from agent.commissioning.progress import on_terminal
 from agent.config import files_of
 from agent.errors import ConfigError, Fault
 
@@ -47,6 +54,32 @@ def test_orders_to_a_terminal_are_written_as_code_does(
     assert "evil" in written
     for order in ("\x1b]", "\x9b", "\x07", "\x7f"):
         assert order not in written
+
+
+def test_progress_is_seen_and_cleared_on_any_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", err := Terminal())
+    show_progress = on_terminal()
+    show_progress("weighing")
+    show_progress("")
+    assert err.getvalue().strip("\r ") == "weighing"
+    assert err.getvalue().endswith(" \r")
+
+
+@pytest.mark.parametrize(("ended", "name"), [(KeyboardInterrupt, "SIGINT"), (Terminated, "SIGTERM")])
+@pytest.mark.parametrize("begun", ["", "{}\n"])
+def test_command_that_a_signal_ends_gives_one_json_document(
+    ended: type[BaseException], name: str, begun: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def app(*_: object, **__: object) -> None:
+        sys.stdout.write(begun)
+        raise ended
+
+    with contextlib.suppress(Terminated):
+        assert guarded(cast("typer.Typer", app), ["replay", "--json"]) == 130
+    document = json.loads(capsys.readouterr().out)
+    assert [error["message"] for error in document.get("errors", [])] == (
+        [] if begun else [f"ended by {name} before it was done"]
+    )
 
 
 def test_folder_of_configurations_with_a_pipe_in_it_is_not_waited_for(tmp_path: Path) -> None:

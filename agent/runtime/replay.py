@@ -36,8 +36,8 @@ _COMMIT_S = 0.05
 _SWITCH_S = 5e-4
 """Longest that reading and writing hold the interpreter while the estimation, which lets go of it in every
 product of matrices, waits for it: a tenth of a replay at Python's 5 ms; below 0.2 ms switching costs more."""
-_OBJECTS = 20_000
-"""New objects between two searches for garbage, of which arrays make none: 700 cost a hundredth of all."""
+_OBJECTS = 200_000
+"""New objects between two searches for garbage, of which arrays make none: 20,000 cost a hundredth of all."""
 CAN_LOGS = (".log", ".asc", ".blf", ".trc", ".mf4")
 
 log = logging.getLogger(__name__)

@@ -168,7 +168,7 @@ class BlindAlarms:
 
 def _changing(valid: BoolArray) -> list[int]:
     """Return the rows (N, c) that may change something: not those amid rows in which all is valid."""
-    odd = ~valid.all(axis=1)
+    odd = np.asarray(~valid.all(axis=1))
     beside = odd.copy()
     beside[1:] |= odd[:-1]
     beside[:-1] |= odd[1:]

@@ -4,7 +4,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from agent.cli.terminal.dataclass_methods import methods_as_closures
+from agent.cli.terminal.class_methods import fast_methods
 
 
 @contextmanager
@@ -12,7 +12,7 @@ def fast_import() -> Iterator[None]:
     """Look for no garbage inside, nor ever among what was made there; define dataclasses quickly."""
     gc.disable()
     try:
-        with methods_as_closures():
+        with fast_methods():
             yield
     finally:
         gc.freeze()

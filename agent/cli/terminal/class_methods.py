@@ -16,7 +16,7 @@ Fields = Sequence[dataclasses.Field[Any]]
 
 
 @contextmanager
-def methods_as_closures() -> Iterator[None]:
+def fast_methods() -> Iterator[None]:
     """Make the dataclasses that are defined inside so."""
     ours: dict[str, Callable[..., Any]] = {}
     if sys.version_info[:2] == (3, 11):

@@ -3,9 +3,9 @@
 import sys
 from collections.abc import Callable
 
+from agent.commissioning.tuning import PROGRESS_WIDTH
+
 Progress = Callable[[str], None]
-WIDTH = 60
-"""Characters that words may take."""
 
 
 def silent(_words: str) -> None:
@@ -22,5 +22,5 @@ def on_terminal() -> Progress:
 
 def _show(words: str) -> None:
     """Overwrite by spaces: not every terminal knows a sequence that clears a line."""
-    sys.stderr.write(f"\r{words:<{WIDTH}}" if words else f"\r{'':<{WIDTH}}\r")
+    sys.stderr.write(f"\r{words:<{PROGRESS_WIDTH}}" if words else f"\r{'':<{PROGRESS_WIDTH}}\r")
     sys.stderr.flush()

@@ -98,6 +98,9 @@ DRAWN_POINTS = 200  # points of the box whose poles are drawn
 GRID = 25  # points along each side of the plane
 BEYOND_BOX = 3.0  # half boxes that the plane reaches: what holds within the limits shows more around
 
+# progress
+PROGRESS_WIDTH = 60  # characters that words of progress may take
+
 # setup/listen, text
 SHOWN_EVERY_S = 0.5  # s between good units shown, the newest of each kind; rejected ones are shown at once
 MOST_BAD = 5  # rejected units of a source that are shown at a time

@@ -50,7 +50,8 @@ COMMIT_S = 0.05  # between commits: little is left to write when the last block 
 SWITCH_S = 5e-4
 """Longest that reading and writing hold the interpreter while the estimation, which lets go of it in every
 product of matrices, waits for it: a tenth of a replay at Python's 5 ms; below 0.2 ms switching costs more."""
-COLLECTION_EVERY = 20_000  # new objects between two searches for garbage: at 700 they cost a hundredth of all
+COLLECTION_EVERY = 200_000
+"""New objects between two searches for garbage, of which arrays make none: 20,000 cost a hundredth of all."""
 
 # process/deadline, memory, opening, watch
 ON_ITS_WAY_S = 0.5  # s that an exception which is to break off a fit may take to arrive

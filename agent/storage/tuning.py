@@ -1,7 +1,7 @@
 """Tuned numbers of the store: name, value, unit, and why."""
 
 # database/checksum, columns, compaction, connect, files, verify
-CHECKSUM_FEW = 400  # rows up to so many are taken one after the other: all at once takes 0.6 ms whatever their number
+CHECKSUM_FEW = 400  # rows up to so many are taken one by one: all at once takes 0.6 ms whatever their number
 CHECKSUM_ROWS = 2048  # rows whose bytes stay in the processor's cache while their columns are walked
 ROWS_AT_ONCE = 64  # of 20 columns at the most: a statement may have 32,766 values
 COPIED_PAGES = 4096  # pages copied back between two looks for an end: a few milliseconds' worth

@@ -123,7 +123,8 @@ class NpzFile(RecordedFile):
             yield (None if self._time is None else seconds_to_ns(self._time.take(count))), values
 
     def _drop_infinite(self, values: FloatArray) -> None:
-        for row, place in np.argwhere(np.isinf(values)):
+        infinite = np.isinf(values)
+        for row, place in np.argwhere(infinite) if infinite.any() else ():
             name = self.names[place]
             self._wanted.fault(f"{self._wanted.path}: {name}: an infinite value counts as missing")
             values[row, place] = np.nan

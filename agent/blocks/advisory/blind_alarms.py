@@ -16,10 +16,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+import numpy as np
+
 from agent.blocks.tuning import BLIND_S, BLIND_WINDOWS
 from agent.config.tables import Alarm as AlarmRule
 from agent.numerics.preprocessing.rows import steps_from
-from agent.types import AlarmKind, AlarmTransition, EstimateBatch, Reason, Status
+from agent.types import AlarmKind, AlarmTransition, BoolArray, EstimateBatch, Reason, Status
 
 BLIND_KINDS: Final[tuple[AlarmKind, ...]] = ("blind", "mismatch")
 MODEL: Final = "model"
@@ -88,13 +90,9 @@ class BlindAlarms:
         columns = [batch.parameters.index(name) for name in self._names]
         before = int(batch.index[0]) if self._index is None else self._index
         self._index = int(batch.index[-1])
-        if not self._groups and (batch.status[:, columns] == Status.VALID).all():
-            for watch in self._watches.values():
-                watch.samples.clear()
-            return []
         found: list[AlarmTransition] = []
         steps = steps_from(before, batch.index)
-        for row in range(len(batch)):
+        for row in _changing(batch.status[:, columns] == Status.VALID):
             found += self._row(batch, row, columns, int(steps[row]), explained=explained)
         return found
 
@@ -165,6 +163,16 @@ class BlindAlarms:
             self._rig, group.kind, group.parameter, t_ns, words, stands=stands, priority=group.priority,
             advice=advice,
         )  # fmt: skip
+
+
+def _changing(valid: BoolArray) -> list[int]:
+    """Return the rows (N, c) that may change something: not those amid rows in which all is valid."""
+    odd = np.asarray(~valid.all(axis=1))
+    beside = odd.copy()
+    beside[1:] |= odd[:-1]
+    beside[:-1] |= odd[1:]
+    beside[[0, -1]] = True
+    return list(np.flatnonzero(beside).tolist())
 
 
 def _over_words(group: _Group) -> str:

@@ -68,7 +68,8 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
 
 
 def _list(values: np.ndarray) -> object:
-    return np.vectorize(lambda x: float(f"{x:.9g}"), otypes=[float])(values).tolist() if values.size else []
+    short = [float(f"{x:.9g}") for x in values.ravel().tolist()]
+    return np.reshape(short, values.shape).tolist() if short else []
 
 
 def _sparse(values: np.ndarray) -> dict[str, object]:

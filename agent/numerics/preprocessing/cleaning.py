@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.preprocessing.bridge import filled, lagrange, runs
-from agent.numerics.preprocessing.rows import columns_with, largest_in, least_of_parts, rows_with
+from agent.numerics.preprocessing.rows import columns_with, followed, largest_in, least_of_parts, rows_with
 from agent.numerics.preprocessing.tuning import (
     BLOCK,
     CLEAR,
@@ -103,11 +103,11 @@ class Cleaner:
         limits = self._limits_of(v)
         missing = np.isnan(v)
         nothing = np.zeros_like(missing)
-        self._raw = np.concatenate([self._raw.T, v.T], axis=1).T
-        self._limits = np.concatenate([self._limits.T, limits.T], axis=1).T
-        self._marked = np.concatenate([self._marked, missing])
-        self._spike = np.concatenate([self._spike, nothing])
-        self._suspect = np.concatenate([self._suspect, nothing])
+        self._raw = followed(self._raw, v)
+        self._limits = followed(self._limits, limits)
+        self._marked = followed(self._marked, missing)
+        self._spike = followed(self._spike, nothing)
+        self._suspect = followed(self._suspect, nothing)
 
     def _limits_of(self, v: FloatArray) -> FloatArray:
         """Return the largest second difference (N, c) beyond doubt for new samples, by the blocks before."""

@@ -3,9 +3,14 @@
 So do its differences of few samples after one that came before them.
 """
 
+from typing import TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.types import BoolArray, FloatArray, IntArray
+
+T = TypeVar("T", bound=np.generic)
 
 
 def rows_with(marks: BoolArray) -> BoolArray:
@@ -19,6 +24,11 @@ def rows_with(marks: BoolArray) -> BoolArray:
 def largest_in(v: FloatArray) -> FloatArray:
     """Return the largest value (c,) of each column of v (N, c), at least 0; 0 of no rows."""
     return np.array([column.max(initial=0.0) for column in v.T])
+
+
+def followed(before: NDArray[T], after: NDArray[T]) -> NDArray[T]:
+    """Return samples (N, c) with later ones behind them, each channel's readings side by side in memory."""
+    return np.concatenate([before.T, after.T], axis=1).T
 
 
 def least_of_parts(v: FloatArray, length: int) -> FloatArray:

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from agent.numerics.preprocessing.rails import RAIL_ENTRY, Rails
+from agent.numerics.preprocessing.rows import followed, least_of_parts
 from agent.numerics.preprocessing.standing import Standing
 from agent.numerics.preprocessing.tuning import ENTRY, OVERSHOOT, PLATEAU
 from agent.types import BoolArray, FloatArray, IntArray
@@ -84,7 +85,7 @@ class SensorWatch:
 
     def take(self, v: FloatArray) -> list[Finding]:
         """Take further samples v (N, c); return what changed, in order."""
-        self._pending = np.concatenate([self._pending.T, v.T], axis=1).T
+        self._pending = followed(self._pending, v)
         whole = (len(self._pending) - self._context) // self.block
         if not whole:
             return []
@@ -156,7 +157,8 @@ class SensorWatch:
         step = self._steps(change, same, whole)
         plateau, fastest = self._plateaus(change, same, blocks)
         rail = np.asarray(fastest > OVERSHOOT / PLATEAU * np.maximum(step, noise))
-        low, high = cut.min(axis=2).T, cut.max(axis=2).T
+        low = least_of_parts(x[:, start:], self.block).T
+        high = -least_of_parts(-x[:, start:], self.block).T
         # a row of equal readings may begin in the block before, at first in the samples of context
         context = x[:, start - RAIL_ENTRY : start] if start else x[:, :1]
         least = np.minimum(low, np.vstack([context.min(axis=1), low[:-1]]))

@@ -1,6 +1,7 @@
 """Alarms of parameters that are not estimated: when they are due, what shares one, and what clears them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,23 @@ def test_cutting_rows_elsewhere_changes_nothing(cut: int) -> None:
         count = min(cut, 400 - first)
         found += watch.step(rows(first, count * HOP / RATE, INVALID, Reason.DIVERGED))
     assert [(step.parameter, step.t_ns) for step in found] == [("k1", int(batch(101).t_ns[100]))]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_at_once_lead_to_what_they_lead_to_one_by_one(seed: int) -> None:
+    """Two parameters, each valid and not in stretches, and windows of many lengths, unknown in some rows."""
+    rng = np.random.default_rng(seed)
+    odd = np.repeat(rng.random((60, 2)) < 0.6, 100, axis=0)
+    one = batch(
+        len(odd), parameters=("k1", "k2"), status=np.where(odd, INVALID, VALID).astype(np.uint8),
+        reason=np.where(odd, Reason.CHANGING, Reason.NONE).astype(np.uint8),
+        window_s=np.where(odd & (rng.random(odd.shape) < 0.5), np.nan, rng.uniform(0.01, 0.2, odd.shape)),
+    )  # fmt: skip
+    several, single = (alarms(Rule("k1"), Rule("k2", blind_s=7.0)) for _ in range(2))
+    edges = [0, *sorted(rng.integers(0, len(odd), 9).tolist()), len(odd)]
+    found = [step for ends in pairwise(edges) for step in several.step(one.part(slice(*ends)))]
+    assert found == [step for row in range(len(odd)) for step in single.step(one.part(slice(row, row + 1)))]
+    assert found
 
 
 def test_fault_that_flickers_faster_than_a_window_is_not_silent() -> None:

@@ -30,7 +30,9 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "saturation": ("saturation",),
     "growth": ("growth",),
 }
-"""What each member has beyond rate, walk, wander and scatter."""
+"""What each member has beyond rate, walk, scatter and, but for the steady one, wander."""
+STEADY = "constant"
+"""The member whose rate stays to the last: it neither bends nor wanders."""
 LEAST_LEFT = 0.05
 """Share of the way below which what is left counts as no shorter."""
 STEEPEST = 30.0

@@ -4,11 +4,21 @@ A Rao-Blackwellised particle set (Cappé et al. 2004): each particle is one (wal
 level and rate given a particle are Gaussian and exact. The sum of the weights is the member's evidence.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.prognosis.family import MEMBERS, SHAPES, Scale, bent, instant, life_way, progress
+from agent.prognosis.family import (
+    LEAST_LEFT,
+    MEMBERS,
+    SHAPES,
+    STEADY,
+    Scale,
+    bent,
+    instant,
+    life_way,
+    progress,
+)
 from agent.prognosis.filter import State, Walk, moved, run_filter
 from agent.prognosis.prior import Prior
 from agent.types import FloatArray
@@ -22,7 +32,12 @@ RUN_IN = 50.0
 """How freely the rate wanders while a part runs in, in usual rates over a span."""
 COUNTED = 1.0 / 11.0
 """Share of the particles that need count for the next round: more, and a few hundred stay where they are."""
-COMMON = ("walk", "wander", "scatter")
+STEADY_ODDS = 0.5
+"""Odds of a steady rate, times the way gone over the way left, from which on it is taken for steady: a third
+of the weight at half of the way. Less, and cracks at half of their lives count as steady; more, and a steady
+fall's band is that of laws that bend too little to be seen."""
+SHARPNESS = 6.0
+"""Power of these odds. One is a mixture's; a threshold would let bands leap from row to row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +131,30 @@ def posterior(
     return [_particles(one, prior) for one in weighed]
 
 
+def decided(found: list[Particles], left: float) -> list[Particles]:
+    """Return members of which the steady one has nearly all of the weight or none.
+
+    left: share of the way to the limit that is not gone yet. Rows seldom tell a steady rate from one that
+    bends little, and a mixture spreads over all that may come of either. A steady rate
+    says the more of the rest the longer it stayed beside it: its odds count times the way gone over the way
+    left, and to a power.
+    """
+    steady = [one.log_evidence for one in found if one.member == STEADY]
+    others = [one.log_evidence for one in found if one.member != STEADY]
+    if not steady or not others:
+        return found
+    left = min(left, 1.0 - LEAST_LEFT)
+    odds = steady[0] - float(np.logaddexp.reduce(others))
+    more = SHARPNESS * (odds + float(np.log((1.0 - left) / left / STEADY_ODDS))) - odds
+    return [
+        replace(one, log_evidence=one.log_evidence + more) if one.member == STEADY else one for one in found
+    ]
+
+
 def _first(prior: Prior, rng: np.random.Generator, member: str, count: int) -> _Swarm:
-    names = (*COMMON, *(("life",) if "life" in prior.of else ()), *SHAPES[member])
+    wander = () if member == STEADY else ("wander",)
+    life = ("life",) if "life" in prior.of else ()
+    names = ("walk", *wander, "scatter", *life, *SHAPES[member])
     theta = prior.draw(rng, names, count)
     density = prior.log_density(names, theta)
     return _Swarm(member, names, theta, density, density)
@@ -225,12 +262,16 @@ def _places(swarms: list[_Swarm]) -> list[slice]:
 
 
 def _columns(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> dict[str, FloatArray]:
-    """Return the parameters of all swarms' particles by name, (N,) each; 0 where a law has none of it."""
+    """Return the parameters of all swarms' particles by name, (N,) each; 0 where a law has none of it.
+
+    The wander is a logarithm: a law without one has the least there is.
+    """
     places = list(zip(swarms, _places(swarms), strict=True))
-    column = {"bend": np.zeros(places[-1][1].stop)}
+    count = places[-1][1].stop
+    column = {"bend": np.zeros(count), "wander": np.full(count, WITHIN[0])}
     for swarm, mine in places:
         for name, cells in zip(swarm.names, swarm.theta.T, strict=True):
-            column.setdefault(name, np.zeros(places[-1][1].stop))[mine] = np.clip(cells, *WITHIN)
+            column.setdefault(name, np.zeros(count))[mine] = np.clip(cells, *WITHIN)
     if "life" in column:
         column["rate"] = np.log(life_way(column["bend"], readings.way, scale)) - column["life"]
     return column

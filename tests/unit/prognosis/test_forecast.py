@@ -78,7 +78,8 @@ def test_forecast_transforms_of_many_histories_are_uniform(rng: np.random.Genera
     figure(
         f"forecasts of a steady fall: P10-P90 holds {100 * share:.0f} % of {len(found)}, Kolmogorov p {p:.3f}"
     )
-    assert share >= 0.75
+    assert 0.75 <= share <= 0.85
+    assert p > 0.01
 
 
 @pytest.mark.soak
@@ -121,8 +122,8 @@ def test_rate_at_the_limit_is_as_uncertain_however_near_it_is(gone: float) -> No
     readings, scale = readings_of(History(np.arange(9.0), 25.0 - np.arange(9.0), np.full(9, 0.1)), LIMIT)
     level = np.expm1(gone * np.log1p(scale.limit))
     later = plain_prior(readings, way_left(float(level), scale)).later
-    assert later.loc * (1.0 - gone) == pytest.approx(0.8)
-    assert later.scale * (1.0 - gone) == pytest.approx(1.4)
+    assert later.loc * (1.0 - gone) == pytest.approx(0.9)
+    assert later.scale * (1.0 - gone) == pytest.approx(1.6)
 
 
 def test_forecast_knows_nothing_of_later_rows(rng: np.random.Generator) -> None:

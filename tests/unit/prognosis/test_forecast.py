@@ -59,6 +59,23 @@ def test_forecasts_of_many_histories_need_the_estimates_sd(rng: np.random.Genera
     assert removed < 0.65
 
 
+def test_forecast_of_a_steady_fall_is_that_of_a_steady_rate(rng: np.random.Generator) -> None:
+    """Laws that bend too little to be seen would make it twice as wide."""
+    made = [forecast(straight(rng)[0], LIMIT).passages for _ in range(10)]
+    ratios = [float(found[int(0.9 * len(found))] / found[int(0.1 * len(found))]) for found in made]
+    assert np.median(ratios) < 2.5
+
+
+@pytest.mark.parametrize(("gone", "steady"), [(0.6, True), (0.1, False)])
+def test_a_rate_that_stayed_over_little_of_the_way_may_still_change(
+    rng: np.random.Generator, gone: float, steady: bool
+) -> None:
+    t = np.linspace(0.0, 100.0 * gone, 60)
+    value = 25.0 - 0.05 * t + 0.02 * rng.standard_normal(60)
+    weight = forecast(History(t, value, np.full(60, 0.02)), LIMIT).family["constant"]
+    assert weight > 0.9 if steady else weight < 0.1
+
+
 def test_poor_rows_beyond_the_limit_have_not_crossed_it() -> None:
     """Six newest rows scatter past the limit by less than they may be off; sixty before stay far from it."""
     t = np.arange(66.0)

@@ -32,12 +32,14 @@ RUN_IN = 50.0
 """How freely the rate wanders while a part runs in, in usual rates over a span."""
 COUNTED = 1.0 / 11.0
 """Share of the particles that need count for the next round: more, and a few hundred stay where they are."""
-STEADY_ODDS = 0.5
-"""Odds of a steady rate, times the way gone over the way left, from which on it is taken for steady: a third
-of the weight at half of the way. Less, and cracks at half of their lives count as steady; more, and a steady
-fall's band is that of laws that bend too little to be seen."""
+STEADY_ODDS = 0.3
+"""Odds of a steady rate from which on it is taken for steady. Less, and cracks at half of their lives count
+as steady; more, and a steady fall's band is that of laws that bend too little to be seen."""
 SHARPNESS = 6.0
 """Power of these odds. One is a mixture's; a threshold would let bands leap from row to row."""
+HALFWAY = 4.0
+"""Power of the way gone over the way left by which these odds are less before half of the way: parts that
+level off look steady at two fifths."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,17 +137,16 @@ def decided(found: list[Particles], left: float) -> list[Particles]:
     """Return members of which the steady one has nearly all of the weight or none.
 
     left: share of the way to the limit that is not gone yet. Rows seldom tell a steady rate from one that
-    bends little, and a mixture spreads over all that may come of either. A steady rate
-    says the more of the rest the longer it stayed beside it: its odds count times the way gone over the way
-    left, and to a power.
+    bends little, and a mixture spreads over all that may come of either. So the odds of a steady rate count
+    to a power; they are less where it stayed over less of the way than it would have to.
     """
     steady = [one.log_evidence for one in found if one.member == STEADY]
     others = [one.log_evidence for one in found if one.member != STEADY]
     if not steady or not others:
         return found
-    left = min(left, 1.0 - LEAST_LEFT)
+    seen = min((1.0 - min(left, 1.0 - LEAST_LEFT)) / left, 1.0)
     odds = steady[0] - float(np.logaddexp.reduce(others))
-    more = SHARPNESS * (odds + float(np.log((1.0 - left) / left / STEADY_ODDS))) - odds
+    more = SHARPNESS * (odds + HALFWAY * float(np.log(seen)) - float(np.log(STEADY_ODDS))) - odds
     return [
         replace(one, log_evidence=one.log_evidence + more) if one.member == STEADY else one for one in found
     ]

@@ -15,7 +15,7 @@ from agent.prognosis.family import MEMBERS, Scale, scale_of, way_left
 from agent.prognosis.history import History, blocks, monotone, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
 from agent.prognosis.passage import FARTHEST, first_passages, newest_levels
-from agent.prognosis.posterior import FULL, Effort, Particles, Readings, decided, posterior
+from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior, selected
 from agent.prognosis.prior import Prior, Student
 from agent.prognosis.steps import events, find_steps, without
 from agent.prognosis.traces import SHORT, Alike, alike
@@ -89,7 +89,7 @@ def forecast(
     if like is not None:
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
-    found = decided(posterior(readings, scale, prior, rng, effort), left)
+    found = selected(posterior(readings, scale, prior, rng, effort), left)
     passages = first_passages(found, scale, newest, prior.later, rng, effort) * thin.span
     family = _weights(found)
     if like is not None and scale.relative:

@@ -35,9 +35,9 @@ COUNTED = 1.0 / 11.0
 STEADY_ODDS = 0.3
 """Odds of a steady rate from which on it is taken for steady. Less, and cracks at half of their lives count
 as steady; more, and a steady fall's band is that of laws that bend too little to be seen."""
-SHARPNESS = 6.0
+SELECTION_POWER = 6.0
 """Power of these odds. One is a mixture's; a threshold would let bands leap from row to row."""
-HALFWAY = 4.0
+GONE_POWER = 4.0
 """Power of the way gone over the way left by which these odds are less before half of the way: parts that
 level off look steady at two fifths."""
 
@@ -133,7 +133,7 @@ def posterior(
     return [_particles(one, prior) for one in weighed]
 
 
-def decided(found: list[Particles], left: float) -> list[Particles]:
+def selected(found: list[Particles], left: float) -> list[Particles]:
     """Return members of which the steady one has nearly all of the weight or none.
 
     left: share of the way to the limit that is not gone yet. Rows seldom tell a steady rate from one that
@@ -146,7 +146,7 @@ def decided(found: list[Particles], left: float) -> list[Particles]:
         return found
     seen = min((1.0 - min(left, 1.0 - LEAST_LEFT)) / left, 1.0)
     odds = steady[0] - float(np.logaddexp.reduce(others))
-    more = SHARPNESS * (odds + HALFWAY * float(np.log(seen)) - float(np.log(STEADY_ODDS))) - odds
+    more = SELECTION_POWER * (odds + GONE_POWER * float(np.log(seen)) - float(np.log(STEADY_ODDS))) - odds
     return [
         replace(one, log_evidence=one.log_evidence + more) if one.member == STEADY else one for one in found
     ]

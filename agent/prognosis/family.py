@@ -31,7 +31,9 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "saturation": ("saturation",),
     "growth": ("growth",),
 }
-"""What each member has beyond rate, walk, wander and scatter."""
+"""What each member has beyond rate, walk, scatter and, but for the steady one, wander."""
+STEADY = "constant"
+"""The member whose rate stays to the last: it neither bends nor wanders."""
 
 
 @dataclass(frozen=True, slots=True)

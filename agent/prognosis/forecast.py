@@ -16,7 +16,7 @@ from agent.prognosis.family import MEMBERS, Scale, scale_of, way_left
 from agent.prognosis.history import History, blocks, monotone, smoothed, sound
 from agent.prognosis.learnt import Learnt, Specimen, as_prior, learn, specimen
 from agent.prognosis.passage import first_passages, newest_levels
-from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior
+from agent.prognosis.posterior import FULL, Effort, Particles, Readings, posterior, selected
 from agent.prognosis.prior import Prior, Student
 from agent.prognosis.steps import events, find_steps, without
 from agent.prognosis.traces import Alike, alike
@@ -72,11 +72,12 @@ def forecast(
         return Forecast("crossed", horizon=horizon, chance=1.0)
     rng = np.random.default_rng(tuning.SEED)
     newest = float(readings.smooth[-1])
-    prior = plain_prior(readings, way_left(newest, scale))
+    left = way_left(newest, scale)
+    prior = plain_prior(readings, left)
     if like is not None:
         prior = as_prior(like, prior, scale, thin.span, newest)
         readings = replace(readings, way=like.way)
-    found = posterior(readings, scale, prior, rng, effort)
+    found = selected(posterior(readings, scale, prior, rng, effort), left)
     passages = first_passages(found, scale, newest, prior.later, rng, effort) * thin.span
     family = _weights(found)
     if like is not None and scale.relative:
@@ -197,7 +198,7 @@ def plain_prior(readings: Readings, left: float) -> Prior:
         "growth": Student(0.7, 0.7),
     }
     members = dict(zip(MEMBERS, (0.14, 0.3, 0.06, 0.1, 0.14, 0.1, 0.16), strict=True))
-    return Prior(of, members, later=Student(0.8 / left, 1.4 / left))
+    return Prior(of, members, later=Student(0.9 / left, 1.6 / left))
 
 
 def learn_from(histories: Sequence[History], limit: float | None = None) -> Learnt:

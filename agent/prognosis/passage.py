@@ -87,7 +87,7 @@ def _paths(
     sign = np.sign(scale.limit)
     return _Paths(
         sign * (limit - u), sign * b,
-        np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", 0.0)[index]),
+        np.exp(found.column("walk", 0.0)[index]), np.exp(found.column("wander", -np.inf)[index]),
         np.exp(found.column("ramp", -np.inf)[index]), np.exp(found.column("saturation", np.inf)[index]),
         np.exp(found.column("growth", -np.inf)[index]),
     )  # fmt: skip

@@ -4,17 +4,24 @@ A Rao-Blackwellised particle set (Cappé et al. 2004): each particle is one (wal
 level and rate given a particle are Gaussian and exact. The sum of the weights is the member's evidence.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.prognosis.family import MEMBERS, SHAPES, Scale, bent, instant, life_way, progress
+from agent.prognosis.family import MEMBERS, SHAPES, STEADY, Scale, bent, instant, life_way, progress
 from agent.prognosis.filter import State, Walk, moved, run_filter
 from agent.prognosis.prior import Prior
-from agent.prognosis.tuning import AT_ONCE, COUNTED, RUN_IN, WITHIN
+from agent.prognosis.tuning import (
+    AT_ONCE,
+    COUNTED,
+    GONE_POWER,
+    LEAST_LEFT,
+    RUN_IN,
+    SELECTION_POWER,
+    STEADY_ODDS,
+    WITHIN,
+)
 from agent.types import FloatArray
-
-COMMON = ("walk", "wander", "scatter")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +115,29 @@ def posterior(
     return [_particles(one, prior) for one in weighed]
 
 
+def selected(found: list[Particles], left: float) -> list[Particles]:
+    """Return members of which the steady one has nearly all of the weight or none.
+
+    left: share of the way to the limit that is not gone yet. Rows seldom tell a steady rate from one that
+    bends little, and a mixture spreads over all that may come of either. So the odds of a steady rate count
+    to a power; they are less where it stayed over less of the way than it would have to.
+    """
+    steady = [one.log_evidence for one in found if one.member == STEADY]
+    others = [one.log_evidence for one in found if one.member != STEADY]
+    if not steady or not others:
+        return found
+    seen = min((1.0 - min(left, 1.0 - LEAST_LEFT)) / left, 1.0)
+    odds = steady[0] - float(np.logaddexp.reduce(others))
+    more = SELECTION_POWER * (odds + GONE_POWER * float(np.log(seen)) - float(np.log(STEADY_ODDS))) - odds
+    return [
+        replace(one, log_evidence=one.log_evidence + more) if one.member == STEADY else one for one in found
+    ]
+
+
 def _first(prior: Prior, rng: np.random.Generator, member: str, count: int) -> _Swarm:
-    names = (*COMMON, *(("life",) if "life" in prior.of else ()), *SHAPES[member])
+    wander = () if member == STEADY else ("wander",)
+    life = ("life",) if "life" in prior.of else ()
+    names = ("walk", *wander, "scatter", *life, *SHAPES[member])
     theta = prior.draw(rng, names, count)
     density = prior.log_density(names, theta)
     return _Swarm(member, names, theta, density, density)
@@ -217,12 +245,16 @@ def _places(swarms: list[_Swarm]) -> list[slice]:
 
 
 def _columns(readings: Readings, scale: Scale, swarms: list[_Swarm]) -> dict[str, FloatArray]:
-    """Return the parameters of all swarms' particles by name, (N,) each; 0 where a law has none of it."""
+    """Return the parameters of all swarms' particles by name, (N,) each; 0 where a law has none of it.
+
+    The wander is a logarithm: a law without one has the least there is.
+    """
     places = list(zip(swarms, _places(swarms), strict=True))
-    column = {"bend": np.zeros(places[-1][1].stop)}
+    count = places[-1][1].stop
+    column = {"bend": np.zeros(count), "wander": np.full(count, WITHIN[0])}
     for swarm, mine in places:
         for name, cells in zip(swarm.names, swarm.theta.T, strict=True):
-            column.setdefault(name, np.zeros(places[-1][1].stop))[mine] = np.clip(cells, *WITHIN)
+            column.setdefault(name, np.zeros(count))[mine] = np.clip(cells, *WITHIN)
     if "life" in column:
         column["rate"] = np.log(life_way(column["bend"], readings.way, scale)) - column["life"]
     return column

@@ -45,6 +45,13 @@ of a gateway's memory), and of fewer the calls cost more than the numbers."""
 WITHIN = (-40.0, 25.0)  # logarithms that a proposal may reach; beyond, numbers overflow
 RUN_IN = 50.0  # how freely the rate wanders while a part runs in, in usual rates over a span
 COUNTED = 1.0 / 11.0  # of the particles that need count for the next round: with more hundreds stay put
+STEADY_ODDS = 0.3
+"""Odds of a steady rate from which on it is taken for steady. Less, and cracks at half of their lives count
+as steady; more, and a steady fall's band is that of laws that bend too little to be seen."""
+SELECTION_POWER = 6.0  # of these odds: one is a mixture's; a threshold would let bands leap from row to row
+GONE_POWER = 4.0
+"""Power of the way gone over the way left by which these odds are less before half of the way: parts that
+level off look steady at two fifths."""
 # steps.py
 PARTS = 200  # means that a history is thinned to where steps are looked for
 ASIDE = 3  # means on each side of an instant that are held against each other

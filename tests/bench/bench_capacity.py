@@ -205,7 +205,10 @@ def _threads(main: int) -> Counter[str]:
     names = {thread.native_id: thread.name for thread in threading.enumerate()}
     spent: Counter[str] = Counter()
     for task in Path("/proc/self/task").iterdir():
-        fields = (task / "stat").read_text().rpartition(")")[2].split()
+        try:
+            fields = (task / "stat").read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended meanwhile
+            continue
         number, name = int(task.name), names.get(int(task.name), "")
         kind = "main" if number == main else next((k for start, k in KINDS if name.startswith(start)), OTHERS)
         spent[kind] += (int(fields[11]) + int(fields[12])) * 10**9 // TICKS

@@ -51,6 +51,9 @@ INFORMATION_LOSS = 0.01
 """Share of any parameter's sd that may be given up by leaving out columns at high frequencies."""
 HALVINGS = 8
 """Most times that a Gauss-Newton step that does not lower the cost is halved. Needed by: EMPS."""
+JOINT_STEPS = 2
+"""The same (a step and its half) beside constants that are open: along what only these tell apart the valley
+bends, and with them given it is short. Needed by: a mass and hum, whose windows took 80 evaluations each."""
 STEPS = 12
 """Most Gauss-Newton steps of one window."""
 CURVATURE = 0.03
@@ -78,8 +81,6 @@ POINT_SD = 1.5
 """Relative prior sd of the next point about the last. Needed by: standstills in normal operation."""
 POINT_MEMORY = 0.75
 """Share of the last point's information that the next keeps where a window agrees: about four windows."""
-SHEET_WALK = 0.01
-"""Random walk a window of constants within their data sheets, in data-sheet sds. Needed by: y1 drifts."""
 LEAST_CHANGES = 20
 """Sensor-code changes below which a window is a standstill, teaching nothing. Needed by: ECP-210, clamped."""
 STANDSTILL_SD = 4.0

@@ -61,13 +61,14 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     binary = np.array([c.is_binary for c in constants], dtype=bool)
     apart = np.array([c.apart for c in constants], dtype=bool)
     levels = _levels(constants)
-    every = [_healthy(constants, share, tuning.PRIOR_HEALTHY / len(levels)) for share in levels]
+    total = sum(odds for _, odds in levels)
+    every = [_healthy(constants, share, tuning.PRIOR_HEALTHY * odds / total) for share, odds in levels]
     timely = every[: 1 + len(tuning.SHEET_FACTORS)]
     others = []
     off = _off(constants)
     odds = sum(_odds(walks) for *_, walks in off)
     for name, e, spread, walks in off:
-        beside = timely if e @ apart else [timely[0], timely[-1]]
+        beside = timely if e @ apart else [timely[0], replace(timely[-1], walk=timely[0].walk)]
         share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(beside) / len(walks)
         others += [
             Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
@@ -86,19 +87,22 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     return tuple(every + others + both)
 
 
-def _levels(constants: tuple[Constant, ...]) -> list[FloatArray]:
-    """Shares (c,) of their data sheets within which constants may be: those with inputs in time come first.
+def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
+    """Shares (c,) of their data sheets within which constants may be, and prior odds; inputs in time first.
 
     What is so or not of a force is a hypothesis of its own: in these it runs as configured.
     """
     timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
-    late = [c for c in constants if c.kind == "delay" and c.shows and not c.is_binary and c.sheet > 0]
-    times = (tuning.AS_CONFIGURED, 1.0) if late else (tuning.AS_CONFIGURED,)
     binary = np.array([c.is_binary for c in constants], dtype=bool)
+    late = any(c.kind == "delay" and c.shows and not c.is_binary and c.sheet > 0 for c in constants)
+    times = ((tuning.AS_CONFIGURED, 1.0), (1.0, tuning.PRIOR_LATE))
+    factors = [
+        (f, tuning.PRIOR_POOR if f > 1 else 1.0) for f in (tuning.AS_CONFIGURED, *tuning.SHEET_FACTORS)
+    ]
     return [
-        np.where(binary, tuning.AS_CONFIGURED, np.where(timed, time, factor))
-        for time in times
-        for factor in (tuning.AS_CONFIGURED, *tuning.SHEET_FACTORS)
+        (np.where(binary, tuning.AS_CONFIGURED, np.where(timed, time, factor)), odds * likely)
+        for time, odds in times[: 1 + late]
+        for factor, likely in factors
     ]
 
 
@@ -108,7 +112,7 @@ def _healthy(constants: tuple[Constant, ...], share: FloatArray, prior: float) -
     shows = np.array([c.shows for c in constants], dtype=bool)
     name = "as configured" if share.max(initial=0.0) <= tuning.AS_CONFIGURED else "within data sheet"
     covariance = np.diag((np.where(shows, share, 1.0) * sheet) ** 2) + _least(sheet)
-    walk = np.diag((tuning.QUIET_WALK * np.maximum(share, 1.0) * sheet) ** 2)
+    walk = np.diag((np.maximum(tuning.QUIET_WALK, tuning.SHEET_WALK * np.minimum(share, 1.0)) * sheet) ** 2)
     return Hypothesis(name, np.zeros(len(sheet)), False, covariance, walk, prior)
 
 

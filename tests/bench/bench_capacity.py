@@ -104,7 +104,7 @@ class Capacity:
 def configure(bus: str, rigs: int, folder: Path, more: str = "") -> list[Path]:
     """Write the demo's rig so many times, each with a device of its own; CAN carries FD frames.
 
-    more: further tables of each file.
+    more: further tables of each file, in which NUMBER stands for the rig's.
     """
     paths = []
     for number in range(rigs):
@@ -112,7 +112,9 @@ def configure(bus: str, rigs: int, folder: Path, more: str = "") -> list[Path]:
         own.mkdir()
         path = write_config(bus, WIDE if bus == "can" else COARSE, own, fast=True).config
         text = path.read_text(encoding="utf-8").replace('name = "demo"', f'name = "rig-{number}"')
-        path.write_text(text.replace("every_s = 0", "every_s = 1.0") + more, encoding="utf-8")
+        path.write_text(text.replace("every_s = 0", "every_s = 1.0"), encoding="utf-8")
+        with path.open("a", encoding="utf-8") as file:
+            file.write(more.replace("NUMBER", str(number)))
         paths.append(path)
     return paths
 

@@ -97,7 +97,7 @@ def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
     late = any(c.kind == "delay" and c.shows and not c.is_binary and c.sheet > 0 for c in constants)
     times = ((tuning.AS_CONFIGURED, 1.0), (1.0, tuning.PRIOR_LATE))
     factors = [
-        (f, tuning.PRIOR_POOR if f > 1 else 1.0) for f in (tuning.AS_CONFIGURED, *tuning.SHEET_FACTORS)
+        (f, tuning.PRIOR_WIDER if f > 1 else 1.0) for f in (tuning.AS_CONFIGURED, *tuning.SHEET_FACTORS)
     ]
     return [
         (np.where(binary, tuning.AS_CONFIGURED, np.where(timed, time, factor)), odds * likely)

@@ -120,5 +120,5 @@ def test_thirty_rigs_forward_for_a_tenth_of_what_their_agent_takes(memory: Path)
     share = found.cost["northbound"] / sum(found.cost.values())
     whole = f"of the {100 * sum(found.cost.values()):.0f} % of a core that their agent takes"
     figure(f"northbound: 30 rigs of 4 parameters a second over MQTT: {100 * share:.1f} % {whole}")
-    assert found.pace > 0.99
+    assert found.kept_up  # one that is behind raises alarms, around which every row is kept and sent
     assert share <= 0.1

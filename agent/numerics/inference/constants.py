@@ -99,8 +99,17 @@ def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
     factors = [
         (f, tuning.PRIOR_WIDER if f > 1 else 1.0) for f in (tuning.AS_CONFIGURED, *tuning.SHEET_FACTORS)
     ]
+    # what comes along with a delay is open as wide where inputs may be late as where they are
+    along = np.array([tuning.OFF_DELAY / max(c.sheet, 1e-9) * _comes_along(c) for c in constants])
     return [
-        (np.where(binary, tuning.AS_CONFIGURED, np.where(timed, time, factor)), odds * likely)
+        (
+            np.where(
+                binary,
+                np.maximum(tuning.AS_CONFIGURED, along * (time == 1.0)),
+                np.where(timed, time, factor),
+            ),
+            odds * likely,
+        )
         for time, odds in times[: 1 + late]
         for factor, likely in factors
     ]

@@ -55,7 +55,8 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
 
     When inputs act says nothing of how well masses and gains are known, nor the other way round. What may be
     off stands beside all else as configured, and beside all else known three times worse than its data sheet
-    says: a second constant may be off, too. A force that is held, or a commanded one that acts late, stands
+    says: a second constant may be off, too. What drifts stands beside all else as configured: it is seen as a
+    change, which says nothing of a scale. A force that is held, or a commanded one that acts late, stands
     beside each of the data sheets. Of a commanded one it stands beside what else may be off, too.
     """
     binary = np.array([c.is_binary for c in constants], dtype=bool)
@@ -68,13 +69,15 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off = _off(constants)
     odds = sum(_odds(walks) for *_, walks in off)
     for name, e, spread, walks in off:
-        beside = timely if e @ apart else [timely[0], replace(timely[-1], walk=timely[0].walk)]
-        share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(beside) / len(walks)
-        others += [
-            Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
-            for walk in walks
-            for b in beside
-        ]
+        static = timely if e @ apart else [timely[0], replace(timely[-1], walk=timely[0].walk)]
+        share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(walks)
+        for walk in walks:
+            beside = static if walk == 0 else timely[:1]
+            step = walk**2 * np.outer(e, e)
+            others += [
+                Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + step, share / len(beside))
+                for b in beside
+            ]
     commanded = [(e, spread) for _, e, spread, _ in off if e @ (apart & ~binary)]
     both = [
         replace(

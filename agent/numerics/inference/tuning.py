@@ -29,7 +29,7 @@ OFF_DELAY = 1.0
 """Prior sd of a delay that is "off", samples. Needed by: held but hold = "first" (half a sample)."""
 DRIFT_WALKS = (0.0007, 0.005)
 """Random walks a window of a gain that "drifts", slowly or fast. Needed by: sensor y1 drifting 5 %."""
-PRIOR_DRIFTS = 0.01
+PRIOR_DRIFTS = 0.006
 """Prior probability that a gain drifts, as a share of that it is off. Needed by: not straight."""
 DRIFT_FOLLOWED = 0.2
 """Probability of any drift from which every window is learnt from. Needed by: sensor y1 drifting 5 %."""

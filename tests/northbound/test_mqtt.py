@@ -14,6 +14,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from agent.config.reading.secrets import Secret
 from agent.config.sections.north import North
+from agent.northbound.interface.peer import Place
+from agent.northbound.mqtt.connection import client_id_of
 from agent.storage.read import queries
 from tests.northbound.line import certificates, disturb, line_to, mosquitto
 from tests.northbound.supply import events, numbers, supplied
@@ -67,6 +69,13 @@ def subscriber(port: int, name: str = "listener") -> Iterator[Subscriber]:
 
 def plant(port: int, **keys: Any) -> North:
     return North(name="plant", kind="mqtt", url=f"mqtt://127.0.0.1:{port}", client_id="press-7", **keys)
+
+
+def test_databases_of_one_file_name_have_clients_of_their_own(tmp_path: Path) -> None:
+    consumer = North(name="plant", kind="mqtt", url="mqtt://127.0.0.1")
+    places = [Place(tmp_path / folder / "rig.db", tmp_path) for folder in ("a", "b", "b")]
+    first, other, again = (client_id_of(consumer, place) for place in places)
+    assert first != other == again
 
 
 def test_rows_arrive_as_json_on_topics_of_their_own_with_discovery_and_last_will(memory: Path) -> None:

@@ -7,6 +7,7 @@ import re
 import socket
 import ssl
 import threading
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -238,9 +239,13 @@ class _TlsSocket(ssl.SSLSocket):
 
 
 def client_id_of(consumer: North, place: Place) -> str:
-    """Return the identifier of a connection: as configured, or of host, database and consumer."""
-    made = re.sub(r"[^A-Za-z0-9_.-]", "_", f"deltak-{socket.gethostname()}-{place.db.stem}-{consumer.name}")
-    return consumer.client_id or made
+    """Return the identifier of a connection: as configured, or of host, database and consumer.
+
+    Databases of one file name lie in many folders of a host: a checksum of the path tells them apart.
+    """
+    path = zlib.crc32(str(place.db.resolve()).encode())
+    made = f"deltak-{socket.gethostname()}-{place.db.stem}-{path:08x}-{consumer.name}"
+    return consumer.client_id or re.sub(r"[^A-Za-z0-9_.-]", "_", made)
 
 
 def tls_context(consumer: North, folder: Path) -> ssl.SSLContext:

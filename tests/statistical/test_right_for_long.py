@@ -1,4 +1,4 @@
-"""A right rig watched for hundreds of windows: what is known of it is not forgotten between windows learnt from."""
+"""A right rig over hundreds of windows: what is known is not forgotten between windows learnt from."""
 
 from pathlib import Path
 

@@ -94,14 +94,13 @@ class Learner:
         """
         known = self.lineariser.prepared(window, known)
         predicted = replace(known, constants=known.constants.predicted(later))
-        switched = known.constants.switched(later)
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
         jump, raw, (excess, beyond), *_ = self._tests(at, predicted)
         if (self._jumps(jump) and not believe) or not at.converged:
             return self._posterior(at, predicted), known
         for _ in range(tuning.ROUNDS):
             noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
-            constants = self._constants_after(settled, replace(predicted, constants=switched))
+            constants = known.constants.switched(later, *self._told(settled, predicted))
             moved = (
                 np.abs(constants.expected - predicted.eta)
                 > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
@@ -235,15 +234,16 @@ class Learner:
         return before, fit
 
     # ------------------------------------------------------------------ what it says
-    def _constants_after(self, at: Linearised, known: Knowledge) -> Constants:
+    def _told(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Information (c, c) and score (c,) of a window about the constants, and where (c,) it has them."""
         S, g, *_ = at.eliminated
         temper = max(at.repeats, float(np.mean(known.scatter.factor)))
-        return known.constants.updated(S / temper, g / temper, known.eta)
+        return S / temper, g / temper, known.eta
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
         """Marginal posterior of the parameters over the hypotheses on the constants."""
         if after is None:
-            after = self._constants_after(at, known)
+            after = known.constants.updated(*self._told(at, known))
         _, _, alone, V, Z = at.eliminated
         u = at.unit
         own = np.diag(V)

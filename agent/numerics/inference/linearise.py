@@ -157,7 +157,7 @@ class Lineariser:
         longest = np.where(linear, np.inf, tuning.LONGEST_STEP)
         share = 1.0
         before = self._cost(at, at.regression, given) + self._strayed(at.theta, known)
-        for _ in range(tuning.HALVINGS):
+        for _ in range(tuning.HALVINGS if given or not len(self.rig.constants) else tuning.JOINT_STEPS):
             self.evaluations += 1
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)

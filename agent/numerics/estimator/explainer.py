@@ -254,7 +254,8 @@ class Explainer:
         """Move the bank to theta (q,), which a longer window found; return whether there was a token."""
         if self.known is None or self.posterior is None or not self._may_begin(newest):
             return False
-        self.known = replace(self.known, theta=np.maximum(theta, self.settings.rig.lower))
+        eta = self.known.constants.predicted().standing[0]  # as rows are linearised
+        self.known = replace(self.known, theta=np.maximum(theta, self.settings.rig.lower), eta=eta)
         self._pay(MOVING)
         self._move(record, self.posterior, newest)
         return True

@@ -11,7 +11,7 @@ import numpy as np
 from agent.numerics.estimator.tuning import LINE_LEVEL, MOST_LINES, PRESENT_NODES
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise.lines import between
-from agent.numerics.inference.posterior import Knowledge, Posterior
+from agent.numerics.inference.posterior import Knowledge, Posterior, shifted
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
@@ -77,7 +77,9 @@ def operating_point(
     # rows are of windows to come: constants walk until then, and each row's own readings tell of them
     known = replace(known, constants=known.constants.predicted())
     eta = known.constants.standing[0]
-    at = sampled(rig, known.theta, eta[: rig.masses], delays_of(rig, eta))
+    # where the window learnt from would have it with the constants so, or rows would start far from the point
+    theta = np.maximum(shifted(known.theta, posterior.sensitivity @ (eta - known.eta)), rig.lower)
+    at = sampled(rig, theta, eta[: rig.masses], delays_of(rig, eta))
     seen = _Seen(rig, eta, at)
     base = seen.model(at.A, at.B, at.C, at.D)
     columns = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q)]
@@ -89,7 +91,7 @@ def operating_point(
     push = Push(at.E, seen.output_gain[:, None] * at.F)
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
-        model, push, learnt, known.theta, at.unit, sharpest / at.unit, wider, shape,
+        model, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
         known.noise.unsure, max(1.0, float(known.scatter.within.max())), at.late is not None,
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from agent.numerics.inference.noise.intensities import first_nodes
 from agent.numerics.inference.noise.lines import with_lines
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.noise.state import Noise, chance, louder
-from agent.numerics.inference.posterior import Knowledge, Line, Posterior
+from agent.numerics.inference.posterior import Knowledge, Line, Posterior, shifted
 from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio, widened
 from agent.numerics.inference.spectral.algebra import inverse, quadratic
 from agent.numerics.inference.spectral.columns import Regressor, Window
@@ -247,7 +247,7 @@ class Learner:
         _, _, alone, V, Z = at.eliminated
         u = at.unit
         own = np.diag(V)
-        means = _moved(at.theta + u * alone, u * ((after.mean - known.eta) @ -Z.T))
+        means = shifted(at.theta + u * alone, u * ((after.mean - known.eta) @ -Z.T))
         # a square: what is below 0 is rounding
         unsure = np.maximum(np.einsum("ia,hab,ib->hi", Z, after.covariance, Z, optimize=True), 0.0)
         variance = u**2 * (own + unsure)
@@ -380,16 +380,3 @@ def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:
     b[part] += pull @ ((mean - at.theta) / unit)
     return Ridge(R, b)
 
-
-def _moved(theta: FloatArray, shift: FloatArray) -> FloatArray:
-    """Parameters theta (q,) moved by shifts (h, q) due to constants: as factors, since constants scale them.
-
-    All masses, springs, dampers and forces times c give the same motion: along that line the logarithms run
-    straight.
-    """
-    size = np.abs(theta)
-    relative = shift / np.where(size > 0, size, 1.0)
-    as_factor = (size > 0) & (np.abs(relative) < 1.0)
-    return np.where(
-        as_factor, theta * np.exp(np.sign(theta) * np.where(as_factor, relative, 0.0)), theta + shift
-    )

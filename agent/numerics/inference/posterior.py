@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants
 from agent.numerics.inference.noise.state import Noise
@@ -101,3 +103,17 @@ class Line:
     def holds(self) -> bool:
         """Whether lines explain the window, and better than anything that jumps once."""
         return self.end.holds and self.moves
+
+
+def shifted(theta: FloatArray, shift: FloatArray) -> FloatArray:
+    """Parameters theta (q,) moved by shifts (h, q) due to constants: as factors, since constants scale them.
+
+    All masses, springs, dampers and forces times c give the same motion: along that line the logarithms run
+    straight.
+    """
+    size = np.abs(theta)
+    relative = shift / np.where(size > 0, size, 1.0)
+    as_factor = (size > 0) & (np.abs(relative) < 1.0)
+    return np.where(
+        as_factor, theta * np.exp(np.sign(theta) * np.where(as_factor, relative, 0.0)), theta + shift
+    )

@@ -110,15 +110,16 @@ class Learner:
             # the constants are elsewhere: the model is made straight there before anything is believed
             predicted = replace(predicted, eta=constants.expected, theta=at.theta)
             at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
-        ratio = self._ratio(settled)
-        scatter = known.scatter.after(ratio, _estimate(settled, predicted.eta))
-        theta, information = self.lineariser.nearer(settled, known)
-        learnt = replace(predicted, theta=theta, information=information, noise=noise, scatter=scatter)
+        here = _estimate(settled, predicted.eta).at(constants.expected)
+        scatter = known.scatter.after(self._ratio(settled), here)
+        at_window = replace(predicted, noise=noise, scatter=scatter)
         posterior = replace(
-            self._posterior(settled, replace(learnt, constants=predicted.constants), constants),
+            self._posterior(settled, at_window, constants),
             jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
         )  # fmt: skip
-        posterior = replace(posterior, rubs=self._rubs(settled, learnt, posterior))
+        posterior = replace(posterior, rubs=self._rubs(settled, at_window, posterior))
+        theta, information = self.lineariser.nearer(settled, known, predicted.eta, here.eta)
+        learnt = replace(at_window, theta=theta, information=information, eta=here.eta)
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
 
     def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge, layout_free
 from agent.numerics.inference.noise.state import Noise
-from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.posterior import Knowledge, shifted
 from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
 from agent.numerics.inference.spectral.bins import bins_of
@@ -157,7 +157,7 @@ class Lineariser:
         longest = np.where(linear, np.inf, tuning.LONGEST_STEP)
         share = 1.0
         before = self._cost(at, at.regression, given) + self._strayed(at.theta, known)
-        for _ in range(tuning.HALVINGS if given or not len(self.rig.constants) else tuning.JOINT_STEPS):
+        for _ in range(tuning.HALVINGS):
             self.evaluations += 1
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
@@ -286,19 +286,25 @@ class Lineariser:
         regression = replace(at.regression, X=fit.X, layout=layout)
         return replace(at, G=fit.G, Si=fit.Si, regression=regression, ridge=replace(at.ridge, R=R))
 
-    def nearer(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray]:
+    def nearer(
+        self, at: Linearised, known: Knowledge, there: FloatArray, eta: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """The next point (q,) and what it rests on (q, q): the information-weighted mean with this window's.
 
-        Where they disagree the window alone is the next point.
+        there, eta: (c,) the constants at which the window is linearised, and of the next point: with constants
+        that no data ask for, parameters make up for them, differently in each window. Where the window and the
+        point before disagree the window alone is the next point.
         """
-        _, _, alone, V, _ = self._anchored(at, known.theta).eliminated
+        _, _, alone, V, Z = self._anchored(at, known.theta).eliminated
         V = at.repeats * V
-        here, sd = at.theta + at.unit * alone, at.unit * np.sqrt(np.diag(V))
+        slope = -at.unit[:, None] * Z
+        here, sd = shifted(at.theta + at.unit * alone, slope @ (eta - there)), at.unit * np.sqrt(np.diag(V))
+        before = shifted(known.theta, slope @ (eta - known.eta))
         information = inverse(V * np.outer(at.unit, at.unit))
-        agree = np.all(np.abs(here - known.theta) < tuning.AGREE_SD * sd)
+        agree = np.all(np.abs(here - before) < tuning.AGREE_SD * sd)
         if agree and known.information is not None:
             total = tuning.POINT_MEMORY * known.information + information
-            here = known.theta + inverse(total) @ information @ (here - known.theta)
+            here = before + inverse(total) @ information @ (here - before)
             information = total
         return np.maximum(here, self.rig.lower), information
 

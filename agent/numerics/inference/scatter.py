@@ -41,6 +41,10 @@ class Estimate:
         """Return the estimate (q,) with other constants (c,)."""
         return np.asarray(self.theta + self.sensitivity @ (eta - self.eta))
 
+    def at(self, eta: FloatArray) -> "Estimate":
+        """Return the same with other constants (c,)."""
+        return replace(self, theta=self.given(eta), eta=eta)
+
 
 @dataclass(frozen=True, slots=True)
 class Scatter:

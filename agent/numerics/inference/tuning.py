@@ -55,9 +55,6 @@ INFORMATION_LOSS = 0.01
 """Share of any parameter's sd that may be given up by leaving out columns at high frequencies."""
 HALVINGS = 8
 """Most times that a Gauss-Newton step that does not lower the cost is halved. Needed by: EMPS."""
-JOINT_STEPS = 2
-"""The same (a step and its half) beside constants that are open: along what only these tell apart the valley
-bends, and with them given it is short. Needed by: a mass and hum, whose windows took 80 evaluations each."""
 STEPS = 12
 """Most Gauss-Newton steps of one window."""
 CURVATURE = 0.03

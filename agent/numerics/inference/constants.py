@@ -232,11 +232,11 @@ class Constants:
         return replace(self.after(windows), weight=stays * self.weight + (1 - stays) * first.weight)
 
     def switched(self, windows: float, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
-        """Return what is known after a window, so many after the last, over which hypotheses may have switched.
+        """Return what is known after a window so many after the last, over which hypotheses may switch.
 
-        S, g, at: as in `updated`. Each hypothesis is weighed as it stayed and as it was switched to: it begins
-        with its prior, and pays for how wide that is before its odds count. It goes on as it is likelier, since a
-        Gaussian about both would let all constants go.
+        S, g, at: as in `updated`. Each hypothesis is weighed as it stayed and as it was switched to: it
+        begins with its prior, and pays for how wide that is before its odds count. It goes on as it is
+        likelier, since a Gaussian about both would let all constants go.
         """
         stays = (1 - tuning.SWITCH) ** windows
         stayed, begun = self.after(windows), self._begun

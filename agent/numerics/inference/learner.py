@@ -380,4 +380,3 @@ def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:
     R[part, part] += pull @ J
     b[part] += pull @ ((mean - at.theta) / unit)
     return Ridge(R, b)
-

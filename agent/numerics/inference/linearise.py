@@ -291,9 +291,9 @@ class Lineariser:
     ) -> tuple[FloatArray, FloatArray]:
         """The next point (q,) and what it rests on (q, q): the information-weighted mean with this window's.
 
-        there, eta: (c,) the constants at which the window is linearised, and of the next point: with constants
-        that no data ask for, parameters make up for them, differently in each window. Where the window and the
-        point before disagree the window alone is the next point.
+        there, eta: (c,) the constants at which the window is linearised, and of the next point: with
+        constants that no data ask for, parameters make up for them, differently in each window. Where the
+        window and the point before disagree the window alone is the next point.
         """
         _, _, alone, V, Z = self._anchored(at, known.theta).eliminated
         V = at.repeats * V

@@ -111,7 +111,7 @@ def test_constants_that_are_all_off_do_not_slide_to_the_narrowest_data_sheets() 
 
 
 def test_constants_that_are_right_stay_as_well_known_as_they_are() -> None:
-    """A wide hypothesis pays for its width each time that it is switched to, for as long as a rig is watched."""
+    """A wide hypothesis pays for its width each time that it is switched to, however long a rig runs."""
     known = Constants.prior(hypotheses_of(CONSTANTS))
     S = np.diag([1e6, 1e6, 0.0])  # nothing tells of x1, whose interval is that of the hypotheses that stand
     sds = []

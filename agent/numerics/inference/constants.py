@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import inverse, log_determinant, root
+from agent.numerics.inference.tuning import JITTER
 from agent.numerics.model.uncertain import Constant, Kind
 from agent.types import FloatArray
 
@@ -269,21 +270,30 @@ class Constants:
 
     def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
         """Return what is known after a window of information S (c, c) and score g (c,) about η = at (c,)."""
-        deviation = self.mean - at
-        score = g - deviation @ S
+        # what the window asks for, along the directions of which it says something, of variance 1/values: the
+        # difference of quadratic forms in S that evidence also is has no digits left where S is large
+        d = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0))
+        values, vectors = np.linalg.eigh(S * np.outer(d, d))
+        kept = values > JITTER * values.max(initial=0.0)
+        along = vectors[:, kept].T / d
+        asked = (vectors[:, kept].T @ (d * g)) / values[kept]
+        left = asked - (self.mean - at) @ along.T
+        across = self.covariance @ along.T
+        spread = along @ across + np.diag(1.0 / values[kept])
+        weighed = np.einsum("hij,hj->hi", inverse(spread), left)
+        evidence = -0.5 * ((left * weighed).sum(axis=1) + log_determinant(spread))
+        log = np.log(np.maximum(self.weight, 1e-300)) + evidence
+        weight = np.exp(log - log.max())
         # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16
         # times larger
         F = root(self.covariance)
         M = np.eye(len(S)) + F.swapaxes(1, 2) @ S @ F
-        covariance = F @ inverse(M) @ F.swapaxes(1, 2)
-        moved = np.einsum("hij,hj->hi", covariance, score)
-        evidence = (
-            0.5 * ((score * moved).sum(axis=1) - log_determinant(M))
-            + ((g + score) * deviation).sum(axis=1) / 2
+        return Constants(
+            self.hypotheses,
+            weight / weight.sum(),
+            self.mean + np.einsum("hij,hj->hi", across, weighed),
+            F @ inverse(M) @ F.swapaxes(1, 2),
         )
-        log = np.log(np.maximum(self.weight, 1e-300)) + evidence
-        weight = np.exp(log - log.max())
-        return Constants(self.hypotheses, weight / weight.sum(), self.mean + moved, covariance)
 
     @property
     def drift_probability(self) -> float:

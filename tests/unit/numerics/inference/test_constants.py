@@ -57,6 +57,23 @@ def test_constants_moments_are_those_of_the_mixture() -> None:
     assert np.sqrt(np.diag(after.total)) == pytest.approx(draws.std(axis=0), rel=0.02)
 
 
+def test_constants_that_sharp_windows_ask_for_are_weighed_to_many_digits() -> None:
+    """Two readings of sd 1e-6 of sums of three constants: by the normal density of those readings alone."""
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    X, sd = np.array([[1.0, -1.0, 1.0], [0.4, 0.1, -1.0]]), 1e-6
+    read = X @ np.array([0.04, -0.03, 0.02])
+    at = np.array([0.01, 0.01, 0.0])
+    S = X.T @ X / sd**2
+    after = prior.updated(S, X.T @ (read - X @ at) / sd**2, at)
+    log = [
+        np.log(w) + multivariate_normal.logpdf(read, X @ m, X @ P @ X.T + sd**2 * np.eye(2))
+        for w, m, P in zip(prior.weight, prior.mean, prior.covariance, strict=True)
+    ]
+    expected = np.exp(np.array(log) - max(log))
+    np.testing.assert_allclose(after.weight, expected / expected.sum(), rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(after.mean @ X.T - read, 0.0, atol=1e-7 + 5 * sd)
+
+
 def test_constants_switch_and_walk_from_window_to_window() -> None:
     prior = Constants.prior(hypotheses_of(CONSTANTS))
     sure = Constants(prior.hypotheses, np.eye(len(prior.weight))[0], prior.mean, prior.covariance)

@@ -70,7 +70,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off = _off(constants)
     odds = sum(_odds(walks) for *_, walks in off)
     for name, e, spread, walks in off:
-        static = timely if e @ apart else [timely[0], replace(timely[-1], walk=timely[0].walk)]
+        static = timely if e @ apart else [timely[0], timely[-1]]
         share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(walks)
         for walk in walks:
             beside = static if walk == 0 else timely[:1]
@@ -125,7 +125,7 @@ def _healthy(constants: tuple[Constant, ...], share: FloatArray, prior: float) -
     shows = np.array([c.shows for c in constants], dtype=bool)
     name = "as configured" if share.max(initial=0.0) <= tuning.AS_CONFIGURED else "within data sheet"
     covariance = np.diag((np.where(shows, share, 1.0) * sheet) ** 2) + _least(sheet)
-    walk = np.diag((np.maximum(tuning.QUIET_WALK, tuning.SHEET_WALK * np.minimum(share, 1.0)) * sheet) ** 2)
+    walk = np.diag((tuning.QUIET_WALK * sheet) ** 2)
     return Hypothesis(name, np.zeros(len(sheet)), False, covariance, walk, prior)
 
 

@@ -82,8 +82,6 @@ POINT_SD = 1.5
 """Relative prior sd of the next point about the last. Needed by: standstills in normal operation."""
 POINT_MEMORY = 0.75
 """Share of the last point's information that the next keeps where a window agrees: about four windows."""
-SHEET_WALK = 1e-4
-"""Random walk a window of constants within data sheets, in their sds or less. Needed by: hammer blows."""
 LEAST_CHANGES = 20
 """Sensor-code changes below which a window is a standstill, teaching nothing. Needed by: ECP-210, clamped."""
 STANDSTILL_SD = 4.0

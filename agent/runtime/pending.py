@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from agent.records import HealthEvent, Record
 from agent.runtime.sources import Arrival, Connection, Use
 from agent.runtime.tuning import CLEAR_NS, PART, RAISE_NS
-from agent.types import AlarmTransition
+from agent.types import COMPUTING, AlarmTransition
 from drivers.port import Counts
 from drivers.reconnect import LinkEvent
 
@@ -71,8 +71,8 @@ class Waiting:
         return self.taken[source].counts if source in self.taken else Counts(), dropped
 
 
-COMPUTING, BEHIND = "computing", "behind"
-"""What the alarm and the event are called."""
+BEHIND = "behind"
+"""What the event is called."""
 
 
 class Lateness:

@@ -20,17 +20,15 @@ from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
 from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.ledger import Conservation
-from agent.runtime.pending import COMPUTING, Lateness, Waiting
+from agent.runtime.pending import Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
 from agent.runtime.tuning import FIRST_FORECAST_S
 from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
-from agent.types import AlarmTransition, IntArray, Learnt
+from agent.types import COMPUTING, WORKER, AlarmTransition, IntArray, Learnt
 from drivers.reconnect import LinkEvent
 
-WORKER = "worker"
-"""What the alarm is called that stands while the process is gone that computed a rig."""
 log = logging.getLogger(__name__)
 
 

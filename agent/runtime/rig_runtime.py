@@ -129,7 +129,8 @@ class RigRuntime:
         """Compute a part of what waits."""
         oldest = self.waiting.oldest_ns
         if oldest is not None:
-            self._note_lateness(monotonic_ns() - oldest)
+            now = monotonic_ns()
+            self._note_lateness(now - oldest, now)
         for use, what in self.waiting.part():
             if isinstance(what, LinkEvent):
                 self.compute()
@@ -244,8 +245,8 @@ class RigRuntime:
         log.warning("%s: %s", f"{rig}: {source}", words)
         self._emit([HealthEvent(rig, source, self._wall(), cause, f"{source}: {words}")])
 
-    def _note_lateness(self, waited_ns: int) -> None:
-        reported = self._lateness.step(waited_ns, self._wall())
+    def _note_lateness(self, waited_ns: int, now_ns: int) -> None:
+        reported = self._lateness.step(waited_ns, self._wall(), now_ns)
         for record in reported:
             if isinstance(record, HealthEvent):
                 log.warning("%s", record.message)

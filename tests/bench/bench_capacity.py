@@ -41,6 +41,8 @@ from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario
 
 WARM_S, MEASURED_S = 6.0, 10.0
+SPREAD_WARM_S = 15.0
+"""With workers: so many rigs learn their first windows at once that all cores are needed for some seconds."""
 RATE_HZ = 1000.0
 GRAIN_S = 0.01
 """For so long samples gather in a device, as in those that fill a frame or a packet before they send it."""
@@ -207,7 +209,7 @@ def _watch_workers(service: Service, main: int, spent: Counter[str], found: dict
     while not (rigs := service.status.elsewhere()) or any(rig["lag_s"] is None for rig in rigs):
         time.sleep(0.1)
     all_begun = time.monotonic()
-    time.sleep(WARM_S)
+    time.sleep(SPREAD_WARM_S)
     workers = [worker["pid"] for worker in service.status.workers()]
     before, computed, begun = _threads(main), sum(map(spent_s, workers)), time.monotonic()
     sent = _sent(service)

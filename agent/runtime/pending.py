@@ -96,8 +96,7 @@ class Lateness:
         self._begun_ns = now_ns if self._begun_ns is None else self._begun_ns
         self._least_ns = waited_ns if self._least_ns is None else min(self._least_ns, waited_ns)
         late_ns = waited_ns - self._least_ns
-        raise_ns = BEGINNING_RAISE_NS if now_ns - self._begun_ns < BEGINNING_NS else RAISE_NS
-        if self.standing == (late_ns > (CLEAR_NS if self.standing else raise_ns)):
+        if self.standing == (late_ns > self._bound_ns(now_ns)):
             return []
         self.standing = not self.standing
         state = (
@@ -109,3 +108,10 @@ class Lateness:
         cause = BEHIND if self.standing else "recovered"
         alarm = AlarmTransition.plain(self._rig, "source", COMPUTING, t_ns, words, stands=self.standing)
         return [HealthEvent(self._rig, COMPUTING, t_ns, cause, words), alarm]
+
+    def _bound_ns(self, now_ns: int) -> int:
+        """Return the lateness at which something is to be told now."""
+        if self.standing:
+            return CLEAR_NS
+        begins = now_ns - (self._begun_ns or now_ns) < BEGINNING_NS
+        return BEGINNING_RAISE_NS if begins else RAISE_NS

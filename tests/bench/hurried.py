@@ -115,6 +115,7 @@ def write_config(folder: Path, rate: int) -> Path:
     for old, new in (
         ("sample_rate_hz = 1000.0", f"sample_rate_hz = {rate}.0"),
         ("window_s = 0.25", f"window_s = {200 / rate}"), ("hop_s = 0.05", f"hop_s = {50 / rate}"),
+        ('mode = "ring"', 'mode = "ring"\nstale_s = 600.0'),  # of true time
         ('type = "int16", scale = 1e-3', 'type = "int32", scale = 1e-6'),
         ('type = "int16", scale = 2e-6', 'type = "int32", scale = 1e-10'),
     ):  # fmt: skip

@@ -218,6 +218,8 @@ class EstimateBatch:
 
 AlarmKind = Literal["level", "rate", "forecast", "sensor", "source", "blind", "mismatch"]
 AlarmState = Literal["NORM", "UNACK", "ACKED", "RTNUN", "SHLVD", "DSUPR", "OOSRV"]
+COMPUTING, WORKER = "computing", "worker"
+"""What alarms of kind `source` are called that are of the agent: computing is behind, a worker is gone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +248,11 @@ class AlarmTransition:
     comment: str | None = None
     advice: str | None = None
     percent: float | None = None
+
+    @property
+    def is_of_agent(self) -> bool:
+        """Whether it tells of the agent itself and not of the rig or of what is read of it."""
+        return self.kind == "source" and self.parameter in {COMPUTING, WORKER}
 
     @classmethod
     def plain(

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-# One BLAS thread, before anything imports numpy: small products are ten times slower on two.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+from tests.arithmetic import settled
+
+os.environ.update(settled())
 
 import hypothesis
 import numpy as np

@@ -4,9 +4,11 @@ A target that hangs is left after the target's timeout_s; whether it took the me
 the next attempt carries the same key.
 """
 
+import base64
 import json
 import logging
 import os
+import re
 import signal
 import smtplib
 import ssl
@@ -27,6 +29,7 @@ from agent import __version__
 from agent.config.reading.secrets import Secret
 from agent.config.sections.results import Notify
 from agent.notification.message import Message
+from agent.notification.tuning import LEAST_SECRET
 
 _QUOTING: Final = ("apprise", "requests", "urllib3")
 """Libraries whose logs quote addresses, and so the tokens in them, at any level."""
@@ -44,10 +47,29 @@ def send(target: Notify, message: Message, folder: Path) -> None:
     """
     try:
         _SENDERS[target.kind](target, message, folder)
+    except SendError as error:
+        raise SendError(_without_secrets(str(error), target, folder)) from None
     except KeyError as error:
         raise SendError(f"the environment variable {error.args[0]} with the secret is not set") from error
     except (OSError, HTTPException, smtplib.SMTPException, ValueError) as error:
-        raise SendError(_words_of(error)) from None
+        raise SendError(_without_secrets(_words_of(error), target, folder)) from None
+
+
+def _without_secrets(words: str, target: Notify, folder: Path) -> str:
+    """Return words without the secrets that a target was shown, should it have said them."""
+    for secret in (target.url, target.token, target.password):
+        if isinstance(secret, Secret):
+            with suppress(OSError, KeyError, ValueError):
+                for form in _forms(_secret(secret, folder), target.user or ""):
+                    words = words.replace(form, "***")
+    return words
+
+
+def _forms(secret: str, user: str) -> list[str]:
+    """Return how a secret may come back: whole, as a mail server gets it, or in parts of an address."""
+    coded = [base64.b64encode(text.encode()).decode() for text in (secret, f"\0{user}\0{secret}")]
+    parts = [part for part in re.split(r"[/?&=#@:]+", secret) if len(part) >= LEAST_SECRET]
+    return [form for form in (secret, *coded, *parts) if form]
 
 
 def _words_of(error: Exception) -> str:

@@ -7,3 +7,6 @@ MESSAGES_QUIET = 1000  # looked at together, and in quiet hours, where a critica
 IDLE_S = 3600.0  # s after which is looked again where nothing is stored: quiet hours may have ended
 STORE_S = 2.0  # until a store that cannot be written is asked again
 REMEMBERED = 10_000  # messages, the newest, that are known as delivered while that cannot be stored
+
+# senders
+LEAST_SECRET = 6  # letters of a part of a secret address that nobody is told; "https" is none

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.prognosis.history import History, blocks, sound
 from agent.prognosis.tuning import ASKED, FEWEST, LEAST, LINE, MEANS, SEASONAL, SHARES
-from agent.types import FloatArray
+from agent.types import BoolArray, FloatArray
 from agent.units import YEAR_DAYS
 
 HALF_WIDTH = 1.96
@@ -141,13 +141,21 @@ def change(history: History, most: int = MEANS) -> Change | None:
     sd = np.maximum(thin.sd / size, LEAST * rough)
     scatter = _Scatter.of(t, y, sd, rough, thin.span)
     one = np.ones_like(t)
-    late = (t >= -0.5).astype(np.float64)
+    late = _newest_half(t).astype(np.float64)
     whole = _reml(np.column_stack([one, t]), y, scatter)
     if len(thin) < FEWEST:
         return _line(whole, float(thin.value[-1]), size, thin.span)
     bent = _reml(np.column_stack([one, t, 0.5 * t * t]), y, scatter)
     half = _reml(np.column_stack([1.0 - late, (1.0 - late) * t, late, late * t]), y, scatter)
     return _answer(whole, bent, half, float(thin.value[-1]), size, thin.span)
+
+
+def _newest_half(t: FloatArray) -> BoolArray:
+    """Return which rows are of the newest half of the span, or of the rows where a half has no line."""
+    late = np.asarray(t >= -0.5)
+    if min(late.sum(), (~late).sum()) < 2:
+        late = np.arange(len(t)) >= len(t) // 2
+    return late
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ _OF_YEARS = frozenset({"forecast", "rate"})
 
 def _begins(alarm: AlarmTransition) -> bool:
     """Tell whether the samples around a step of an alarm are kept."""
-    return alarm.to_state == "UNACK" and alarm.kind not in _OF_YEARS
+    return alarm.to_state == "UNACK" and alarm.kind not in _OF_YEARS and not alarm.is_of_agent
 
 
 class Writer(Protocol):

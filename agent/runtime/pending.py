@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from agent.records import HealthEvent, Record
 from agent.runtime.sources import Arrival, Connection, Use
-from agent.runtime.tuning import CLEAR_NS, PART, RAISE_NS
-from agent.types import AlarmTransition
+from agent.runtime.tuning import BEGINNING_NS, BEGINNING_RAISE_NS, CLEAR_NS, PART, RAISE_NS
+from agent.types import COMPUTING, AlarmTransition
 from drivers.port import Counts
 from drivers.reconnect import LinkEvent
 
@@ -71,8 +71,8 @@ class Waiting:
         return self.taken[source].counts if source in self.taken else Counts(), dropped
 
 
-COMPUTING, BEHIND = "computing", "behind"
-"""What the alarm and the event are called."""
+BEHIND = "behind"
+"""What the event is called."""
 
 
 class Lateness:
@@ -84,16 +84,19 @@ class Lateness:
     def __init__(self, rig: str) -> None:
         self._rig = rig
         self._least_ns: int | None = None
+        self._begun_ns: int | None = None
         self.standing = False
 
-    def step(self, waited_ns: int, t_ns: int) -> list[Record]:
-        """Take how long the oldest sample has waited; return what is to be told at t_ns.
+    def step(self, waited_ns: int, t_ns: int, now_ns: int) -> list[Record]:
+        """Take how long the oldest sample has waited now (monotonic); return what is to be told at t_ns.
 
         The least that any waited is no backlog: it is what handing over takes, or clocks that do not agree.
+        Nor is it a fault that many rigs which begin together learn their first windows one after another.
         """
+        self._begun_ns = now_ns if self._begun_ns is None else self._begun_ns
         self._least_ns = waited_ns if self._least_ns is None else min(self._least_ns, waited_ns)
         late_ns = waited_ns - self._least_ns
-        if self.standing == (late_ns > (CLEAR_NS if self.standing else RAISE_NS)):
+        if self.standing == (late_ns > self._bound_ns(now_ns)):
             return []
         self.standing = not self.standing
         state = (
@@ -105,3 +108,10 @@ class Lateness:
         cause = BEHIND if self.standing else "recovered"
         alarm = AlarmTransition.plain(self._rig, "source", COMPUTING, t_ns, words, stands=self.standing)
         return [HealthEvent(self._rig, COMPUTING, t_ns, cause, words), alarm]
+
+    def _bound_ns(self, now_ns: int) -> int:
+        """Return the lateness at which something is to be told now."""
+        if self.standing:
+            return CLEAR_NS
+        begins = now_ns - (self._begun_ns or now_ns) < BEGINNING_NS
+        return BEGINNING_RAISE_NS if begins else RAISE_NS

@@ -20,17 +20,15 @@ from agent.runtime.containment import IsolatedPipeline
 from agent.runtime.forecasts.schedule import ALARM, DUE, Schedule
 from agent.runtime.forecasts.thread import ForecastThread
 from agent.runtime.ledger import Conservation
-from agent.runtime.pending import COMPUTING, Lateness, Waiting
+from agent.runtime.pending import Lateness, Waiting
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.results import RunSummary
 from agent.runtime.sources import Arrival, Connection, Use, part, wire_steps
 from agent.runtime.tuning import FIRST_FORECAST_S
 from agent.storage.tables.alarms import AlarmRow, alarm_of, detected, kind_of
-from agent.types import AlarmTransition, IntArray, Learnt
+from agent.types import COMPUTING, WORKER, AlarmTransition, IntArray, Learnt
 from drivers.reconnect import LinkEvent
 
-WORKER = "worker"
-"""What the alarm is called that stands while the process is gone that computed a rig."""
 log = logging.getLogger(__name__)
 
 
@@ -131,7 +129,8 @@ class RigRuntime:
         """Compute a part of what waits."""
         oldest = self.waiting.oldest_ns
         if oldest is not None:
-            self._note_lateness(monotonic_ns() - oldest)
+            now = monotonic_ns()
+            self._note_lateness(now - oldest, now)
         for use, what in self.waiting.part():
             if isinstance(what, LinkEvent):
                 self.compute()
@@ -246,8 +245,8 @@ class RigRuntime:
         log.warning("%s: %s", f"{rig}: {source}", words)
         self._emit([HealthEvent(rig, source, self._wall(), cause, f"{source}: {words}")])
 
-    def _note_lateness(self, waited_ns: int) -> None:
-        reported = self._lateness.step(waited_ns, self._wall())
+    def _note_lateness(self, waited_ns: int, now_ns: int) -> None:
+        reported = self._lateness.step(waited_ns, self._wall(), now_ns)
         for record in reported:
             if isinstance(record, HealthEvent):
                 log.warning("%s", record.message)

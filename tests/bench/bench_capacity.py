@@ -4,6 +4,7 @@ python -m tests.bench.bench_capacity BUS RIGS (part of make bench). The devices 
 of their own on another core; the agent runs on one core, its database included. Its cost is read from the
 threads' processor time, so that other work on the machine blurs it little; to keep up it needs a core of its
 own. Whether the devices held their pace is told by what came of their samples, and by their own ledgers.
+With workers the agent has all cores, and what workers take is one stage.
 """
 
 import os
@@ -34,11 +35,14 @@ from agent.config import load_many
 from agent.evaluation.demo.bus import COARSE, Wire, write_config
 from agent.runtime.service import Service
 from agent.runtime.sources import Connection
+from agent.runtime.workers.service import SpreadService
 from sim_bus.player import Player
 from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario
 
 WARM_S, MEASURED_S = 6.0, 10.0
+SPREAD_WARM_S = 15.0
+"""With workers: so many rigs learn their first windows at once that all cores are needed for some seconds."""
 RATE_HZ = 1000.0
 GRAIN_S = 0.01
 """For so long samples gather in a device, as in those that fill a frame or a packet before they send it."""
@@ -70,6 +74,7 @@ class Capacity:
         pace: samples that came, as a share of those that were due.
         unsent: samples that the devices could not send.
         devices: processor seconds a second of the devices' process.
+        sent: rows a second that consumers beyond the gateway acknowledged.
     """
 
     rigs: int
@@ -79,6 +84,7 @@ class Capacity:
     pace: float
     unsent: int
     devices: float
+    sent: float = 0.0
 
     @property
     def played(self) -> bool:
@@ -138,21 +144,27 @@ def devices(configs: list[str]) -> None:
     print(json.dumps({"cost": cost, "unsent": sum(last - first + 1 for first, last in runs)}), flush=True)
 
 
-def agent(configs: list[str], folder: Path) -> None:
-    """Run the whole agent on one core and print what its threads and stages cost."""
-    os.sched_setaffinity(0, CORES[:1])
+def agent(configs: list[str], folder: Path, workers: int) -> None:
+    """Run the whole agent, on one core if it computes itself; print what its threads and stages cost."""
+    if workers == 1:
+        os.sched_setaffinity(0, CORES[:1])
     logging.disable(logging.CRITICAL)
     spent = _measured_stages()
     rigs = load_many([Path(config) for config in configs])
     own = bool(rigs[0].north)  # a database each, and so a thread and a connection each: what costs most
-    service = Service(rigs, None if own else folder / "agent.db", "live")
+    db = None if own else folder / "agent.db"
+    service = Service(rigs, db, "live") if workers == 1 else SpreadService(rigs, db, "live", workers)
     main = threading.get_native_id()
     found: dict[str, Any] = {}
-    watch = threading.Thread(target=_watch, args=(service, main, spent, found), daemon=True)
+    act = _watch if workers == 1 else _watch_workers
+    watch = threading.Thread(target=act, args=(service, main, spent, found), daemon=True)
     watch.start()
     service.run(None)
     watch.join()
-    found["samples"] = [rig.summary.document(1.0)["samples"] for rig in service.rigs.values()]
+    found["samples"] = [document["samples"] for document in service.documents(1.0)]
+    if "pace" not in found:  # at least: those of before all had begun count too
+        came = sum(samples["received"] for samples in found["samples"])
+        found["pace"] = came / (RATE_HZ * found["all_s"] * len(rigs))
     print(json.dumps(found), flush=True)
 
 
@@ -178,6 +190,7 @@ def _measured_stages() -> Counter[str]:
 def _watch(service: Service, main: int, spent: Counter[str], found: dict[str, Any]) -> None:
     time.sleep(WARM_S)
     before, stages, came, begun = _threads(main), Counter(spent), _received(service), time.monotonic()
+    sent = _sent(service)
     print("warm", flush=True)
     time.sleep(MEASURED_S)
     seconds = time.monotonic() - begun
@@ -186,8 +199,41 @@ def _watch(service: Service, main: int, spent: Counter[str], found: dict[str, An
     inner = {name: spend / 1e9 / seconds for name, spend in (spent - stages).items()}
     cost["hand over"] = max(0.0, cost.pop("main", 0.0) - sum(inner.values()))
     found["cost"] = cost | inner
+    found["sent"] = (_sent(service) - sent) / seconds
     found["lag_s"] = max(_waited_s(connection) for connection in service.connections)
     service.stop()
+
+
+def _watch_workers(service: Service, main: int, spent: Counter[str], found: dict[str, Any]) -> None:
+    del spent
+    while not (rigs := service.status.elsewhere()) or any(rig["lag_s"] is None for rig in rigs):
+        time.sleep(0.1)
+    all_begun = time.monotonic()
+    time.sleep(SPREAD_WARM_S)
+    workers = [worker["pid"] for worker in service.status.workers()]
+    before, computed, begun = _threads(main), sum(map(spent_s, workers)), time.monotonic()
+    sent = _sent(service)
+    print("warm", flush=True)
+    time.sleep(MEASURED_S)
+    seconds = time.monotonic() - begun
+    cost = {name: spend / 1e9 / seconds for name, spend in (_threads(main) - before).items()}
+    cost["look after workers"] = cost.pop("main", 0.0)
+    found["cost"] = cost | {"workers": (sum(map(spent_s, workers)) - computed) / seconds}
+    found["sent"] = (_sent(service) - sent) / seconds
+    found["lag_s"] = max(rig["lag_s"] for rig in service.status.elsewhere())
+    found["all_s"] = time.monotonic() - all_begun
+    service.stop()
+
+
+def _sent(service: Service) -> int:
+    """Return how many rows consumers have acknowledged."""
+    return sum(one.sent for one in service.rig_set.forwarding.forwarders)
+
+
+def spent_s(pid: int) -> float:
+    """Return the processor time of a process, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 def _received(service: Service) -> int:
@@ -217,13 +263,16 @@ def _threads(main: int) -> Counter[str]:
     return spent
 
 
-def measure(bus: str, rigs: int, more: str = "") -> Capacity:
-    """Run so many rigs on one bus and return what they cost; more: further tables of each file."""
+def measure(bus: str, rigs: int, more: str = "", workers: int = 1) -> Capacity:
+    """Run so many rigs on one bus and return what they cost; more: further tables of each file.
+
+    workers: processes that compute, 1 for the agent's own.
+    """
     with TemporaryDirectory() as name, ExitStack() as stack:
         configs = [str(path) for path in configure(bus, rigs, Path(name), more)]
         player = _part(stack, "devices", *configs)
         assert _line(player) == "ready\n"
-        listener = _part(stack, "agent", name, *configs)
+        listener = _part(stack, "agent", str(workers), name, *configs)
         assert _line(listener) == "warm\n"
         _report(player)
         found = json.loads(_line(listener))
@@ -233,7 +282,8 @@ def measure(bus: str, rigs: int, more: str = "") -> Capacity:
     for one in found["samples"]:
         lost += Counter(one["dropped"]) + Counter(one["rejected"]) + Counter(gaps=one["gaps"])
     return Capacity(
-        rigs, found["cost"], dict(lost), found["lag_s"], found["pace"], played["unsent"], played["cost"]
+        rigs, found["cost"], dict(lost), found["lag_s"], found["pace"], played["unsent"], played["cost"],
+        found["sent"],
     )  # fmt: skip
 
 
@@ -282,7 +332,7 @@ def main(arguments: list[str]) -> None:
     if arguments[0] == "devices":
         devices(arguments[1:])
     elif arguments[0] == "agent":
-        agent(arguments[2:], Path(arguments[1]))
+        agent(arguments[3:], Path(arguments[2]), int(arguments[1]))
     else:
         print(reported(arguments[0], measure(arguments[0], int(arguments[1]))))
 

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from agent.cli.gateway.status import status
-from tests.bench.bench_capacity import TICKS, _line, _part, _report, configure
+from tests.bench.bench_capacity import _line, _part, _report, configure, spent_s
 from tests.scenario.live import agent, hops, wait_until
 
 WARM_S, MEASURED_S = 15.0, 15.0
@@ -74,12 +74,6 @@ def measure(bus: str, rigs: int, workers: int) -> Spread:
     for samples in (run["samples"] for run in runs):
         lost += Counter(samples["dropped"]) + Counter(samples["rejected"]) + Counter(gaps=samples["gaps"])
     return Spread(rigs, cores, mb, dict(lost))
-
-
-def spent_s(pid: int) -> float:
-    """Return the processor time of a process, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 def proportional_mb(pid: int) -> float:

@@ -4,7 +4,9 @@ names."""
 import os
 import sys
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from tests.arithmetic import settled
+
+os.environ.update(settled())
 
 from tests.golden.cases import Case, cases
 from tests.golden.text import machine

@@ -13,7 +13,7 @@ from agent.recording.event_files import table_of
 from agent.recording.event_writer import Job
 from agent.recording.events import EventKeeper
 from agent.records import HealthEvent, Record
-from agent.types import AlarmTransition, IntArray
+from agent.types import COMPUTING, WORKER, AlarmTransition, IntArray
 from drivers.port import SampleBlock
 from tests.scenario.live import example
 
@@ -172,6 +172,14 @@ def test_alarm_that_clears_or_is_acknowledged_makes_no_record(rig: Rig) -> None:
 def test_alarm_that_years_lead_to_makes_no_record(rig: Rig) -> None:
     rig.feed(100)
     rig.keeper.see([alarm(50, kind="forecast"), alarm(50, kind="rate")])
+    assert rig.pen.jobs == []
+
+
+@pytest.mark.parametrize("name", [COMPUTING, WORKER])
+def test_alarm_of_the_agent_itself_makes_no_record(rig: Rig, name: str) -> None:
+    rig.feed(100)
+    rig.keeper.see([alarm(50, kind="source", parameter=name)])
+    rig.feed(400)
     assert rig.pen.jobs == []
 
 

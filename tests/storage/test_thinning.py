@@ -3,7 +3,7 @@ import pytest
 
 from agent.records import Record
 from agent.storage.write.decimation import Thinner
-from agent.types import AlarmTransition, EstimateBatch
+from agent.types import COMPUTING, WORKER, AlarmTransition, EstimateBatch
 from tests.storage.rows import HOP, START, batch, ledger, step
 
 SECOND = 10**9
@@ -52,6 +52,16 @@ def test_thinner_keeps_the_newest_of_each_period_and_all_around_alarms(
     out = fed(cut(3000, sizes, alarms))
     assert times(out) == expected(3000, alarms)
     assert len([r for r in out if isinstance(r, AlarmTransition)]) == len(alarms)
+
+
+@pytest.mark.parametrize(("name", "is_all_kept"), [(COMPUTING, False), (WORKER, False), ("can", True)])
+def test_thinner_keeps_no_more_rows_where_the_agent_itself_is_late_or_began_anew(
+    name: str, is_all_kept: bool
+) -> None:
+    alarm = step("NORM", "UNACK", START + 1500 * HOP, kind="source", parameter=name)
+    out = fed([[batch(1500)], [batch(1500, first=1500), alarm]])
+    assert times(out) == expected(3000, [1500] if is_all_kept else [])
+    assert alarm in out
 
 
 @pytest.mark.parametrize("every_s", [0.01, 0.05, 0.3, 7.0, 100.0])

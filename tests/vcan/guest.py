@@ -14,6 +14,7 @@ from pathlib import Path
 from tests import peers
 
 INIT = Path(__file__).with_name("guest-init.sh")
+REGISTERS = Path(__file__).with_name("registers.c")
 DIED = 125
 """Status of a command whose guest died."""
 MODULES = "/usr/lib/uml/modules"
@@ -53,7 +54,7 @@ def run(
             "ro", "quiet", "loglevel=3", "panic=1", "con=null", "con0=null,fd:1", "ssl=null", f"init={first}",
             f"results={results}", f"modules={MODULES}", *([] if disk is None else [f"ubd0={disk}"]),
         ]  # fmt: skip
-        printed = _run(_ahead_of_others(arguments), limit_s)
+        printed = _run(_ahead_of_others([*_registers(results), *arguments]), limit_s)
         if kept is not None:
             shutil.copytree(results / "kept", kept, dirs_exist_ok=True)
         status, output = results / "status", results / "output"
@@ -73,6 +74,16 @@ def _run(command: Sequence[str], limit_s: float) -> str:
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(machine.pid, signal.SIGKILL)
+
+
+def _registers(folder: Path) -> list[str]:
+    """Return what has a guest start where the processor has more registers than User-Mode Linux knows."""
+    if "amx_tile" not in Path("/proc/cpuinfo").read_text():
+        return []
+    library = folder / "registers.so"
+    compiler = peers.program("gcc", "gcc")
+    subprocess.run([compiler, "-O2", "-shared", "-fPIC", "-o", library, REGISTERS], check=True)
+    return ["env", f"LD_PRELOAD={library}"]
 
 
 def _script(command: Sequence[str], folder: Path, results: Path) -> str:

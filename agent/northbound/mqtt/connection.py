@@ -55,6 +55,7 @@ class Connection:
         self._lost: str | None = None
         self._said = ""
         self._acknowledged: dict[int, ReasonCode | None] = {}
+        self._confirmed: dict[int, ReasonCode | None] = {}
         self._awaited: set[int] = set()
         self._on_message = on_message
         self._client = Client(
@@ -103,9 +104,13 @@ class Connection:
     def acknowledged(self, numbers: set[int]) -> None:
         """Wait until the broker has acknowledged messages. Raises PeerError."""
         self._awaited = numbers
-        self.wait(lambda: numbers <= self._acknowledged.keys(), "no acknowledgement")
+        self._need(numbers, self._acknowledged)
+
+    def _need(self, numbers: set[int], said: dict[int, ReasonCode | None]) -> None:
+        """Wait until the broker has said yes to what has these numbers. Raises PeerError."""
+        self.wait(lambda: numbers <= said.keys(), "no acknowledgement")
         with self._changed:
-            answers = [self._acknowledged.pop(number) for number in numbers]
+            answers = [said.pop(number) for number in numbers]
         refused = [answer for answer in answers if answer is not None and answer.is_failure]
         if refused:
             cause = "full" if str(refused[0]) == "Quota exceeded" else "refused"
@@ -124,7 +129,7 @@ class Connection:
         )
         if result is not MQTTErrorCode.MQTT_ERR_SUCCESS or number is None:
             raise self._failure(f"subscribing failed ({result.name})")
-        self.acknowledged({number})
+        self._need({number}, self._confirmed)
 
     def wait(self, done: Callable[[], bool], words: str) -> None:
         """Wait until something is so, for as long as the consumer may take. Raises PeerError."""
@@ -214,7 +219,10 @@ class Connection:
         reasons: list[ReasonCode],
         _properties: Properties | None,
     ) -> None:
-        self._published(_client, _data, number, reasons[0], _properties)
+        # messages and subscriptions share their numbers: what confirms one says nothing of the other
+        with self._changed:
+            self._confirmed[number] = reasons[0]
+            self._changed.notify_all()
 
     def _arrived(self, _client: Client, _data: Any, message: MQTTMessage) -> None:
         self._on_message(message.topic, bytes(message.payload))

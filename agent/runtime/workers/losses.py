@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from agent.blocks.rig_model import hop_plan
 from agent.config import RigConfig
 from agent.records import HealthEvent, Record
-from agent.runtime.rig_runtime import WORKER
-from agent.types import AlarmTransition, EstimateBatch
+from agent.types import WORKER, AlarmTransition, EstimateBatch
 
 ENDED, LOST = "ended", "samples lost"
 """What the events are called."""

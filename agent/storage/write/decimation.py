@@ -1,4 +1,8 @@
-"""Which estimates are kept: the newest of each period, and everything around an alarm."""
+"""Which estimates are kept: the newest of each period, and everything around an alarm of the rig.
+
+Alarms of the agent itself keep no rows: they say nothing of these, and an agent that is late because of its
+load would store and send twenty times as much and be later still.
+"""
 
 from collections.abc import Sequence
 
@@ -31,7 +35,7 @@ class Thinner:
         """Return the records to keep now, estimates first."""
         if self._every <= 0:
             return list(records)
-        self._transitions += [r.t_ns for r in records if isinstance(r, AlarmTransition)]
+        self._transitions += [r.t_ns for r in records if isinstance(r, AlarmTransition) and not r.is_of_agent]
         kept: list[Record] = []
         for record in records:
             if isinstance(record, EstimateBatch) and len(record):

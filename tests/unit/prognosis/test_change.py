@@ -90,6 +90,17 @@ def test_change_of_no_span_says_nothing() -> None:
     assert change(History(np.zeros(9), np.arange(9.0), np.ones(9))) is None
 
 
+@pytest.mark.parametrize("early", [1, 2, 19, 20])
+def test_change_of_a_history_with_hardly_a_row_in_one_half_is_finite(
+    rng: np.random.Generator, early: int
+) -> None:
+    t = np.concatenate([np.linspace(0.0, 0.01, early), np.linspace(0.9, 1.0, 21 - early)])
+    found = change(History(t, 5.0 + 0.01 * rng.standard_normal(21), np.full(21, 0.01)))
+    assert found is not None
+    assert np.isfinite([found.slope, found.newest, found.newest_sd]).all()
+    assert found.newest_sd > 0.0
+
+
 def test_change_without_stated_sd_is_finite() -> None:
     found = change(History(np.arange(50.0), 30.0 - 0.5 * np.arange(50), np.zeros(50)))
     assert found is not None

@@ -44,7 +44,7 @@ class NoiseFit:
         self.levels = noise.levels
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
-        self.ends = Ends(cells.response, sources)
+        self.ends = Ends(cells.response, sources, self.layout.lasting)
 
     # ------------------------------------------------------------------ S, S⁻¹ and the Gram at today's values
     def refresh(self) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.inference import tuning
+from agent.numerics.inference.spectral.sources import Source
 from agent.types import FloatArray
 
 
@@ -83,6 +84,13 @@ class Noise:
     def is_other_than(self, before: "Noise") -> bool:
         """Whether there is more or less noise than before, as in `exceeds`."""
         return not before.is_started or self.exceeds(before) or before.exceeds(self)
+
+    def lasting(self, sources: tuple[Source, ...]) -> tuple[int, ...]:
+        """Return the sources whose work at a window's ends counts: slow forces, and colours that are there."""
+        there = self.intensity > tuning.ACTIVE_NODES * self.nodes[:, 0] if self.is_started else self.intensity > 0
+        return tuple(
+            a for a, source in enumerate(sources) if source.is_slow_force or (source.is_colour and there[a])
+        )
 
     @property
     def is_started(self) -> bool:

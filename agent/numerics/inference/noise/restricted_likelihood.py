@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.spectral.algebra import inverse, log_determinant
@@ -45,6 +46,10 @@ class NoiseFit:
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
         self.ends = Ends(cells.response, sources, self.layout.lasting)
+        self.there = noise.there
+        self.firm = noise.firm(self.there)
+        self.information: FloatArray | None = None
+        self.carried = noise.intensity.copy()
 
     # ------------------------------------------------------------------ S, S⁻¹ and the Gram at today's values
     def refresh(self) -> None:
@@ -77,17 +82,17 @@ class NoiseFit:
         """Fisher scoring of log σ by REML with a Gaussian prior, and EM of the bins' levels."""
         for _ in range(steps):
             self.refresh()
-            residual, leverage = self._fitted()
+            residual, leverage, V = self._fitted()
             before = self.log_sigma
-            self._score_step(residual, leverage, prior_mean, prior_var)
+            self._score_step(residual, leverage, V, prior_mean, prior_var)
             if self.sources:
                 self._level_step(residual, leverage, carried)
             if np.abs(self.log_sigma - before).max() < RESTING:
                 break
         self.refresh()
 
-    def _fitted(self) -> tuple[ComplexArray, FloatArray]:
-        """S⁻¹ of the residual (kept, p), and diag S⁻¹ X M⁻¹ Xᵀ S⁻¹ (kept, p)."""
+    def _fitted(self) -> tuple[ComplexArray, FloatArray, FloatArray]:
+        """S⁻¹ of the residual (kept, p), diag S⁻¹ X M⁻¹ Xᵀ S⁻¹ (kept, p), and M⁻¹ (base, base)."""
         nb, kept = self.layout.base, self.cells.kept
         V = inverse(self.G[:nb, :nb] + self.ridge())
         fit = V @ (self.G[:nb, nb] + self.b)
@@ -95,11 +100,17 @@ class NoiseFit:
         residual = (Si @ (self.X[..., nb] - self.X[..., :nb] @ fit)[..., None])[..., 0]
         Y = (Si @ self.X[..., :nb]).reshape(-1, nb)
         leverage = ((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)
-        return residual, leverage.reshape(kept, -1)
+        return residual, leverage.reshape(kept, -1), V
 
     def _score_step(
-        self, residual: ComplexArray, leverage: FloatArray, prior_mean: FloatArray, prior_var: FloatArray
+        self,
+        residual: ComplexArray,
+        leverage: FloatArray,
+        V: FloatArray,
+        prior_mean: FloatArray,
+        prior_var: FloatArray,
     ) -> None:
+        """One step of log σ, and with it of the intensities that are there: what one gives up others take."""
         kept, cells = self.cells.kept, self.cells
         variance = np.exp(2 * self.log_sigma)
         levels = cells.cell_levels(self.levels)
@@ -110,10 +121,45 @@ class NoiseFit:
         quad += np.einsum("kcc->c", high @ self.high.R @ high).real
         score = variance * (quad - (B * diagonal).sum(axis=0) + (B[:kept] * leverage).sum(axis=0))
         F = 2 * np.einsum("kc,kcd,kd->cd", B, np.abs(self.Si) ** 2, levels) * np.outer(variance, variance)
-        H = F + np.diag(1.0 / prior_var)
-        step = np.linalg.solve(H, score - (self.log_sigma - prior_mean) / prior_var)
-        self.log_sigma = self.log_sigma + np.clip(step, -1.0, 1.0)
-        self.log_sigma_var = np.diag(np.linalg.inv(H)).copy()
+        p, there = len(variance), self.there
+        pull = (self.log_sigma - prior_mean) / prior_var
+        firm = np.diag(1.0 / prior_var)
+        if len(there):
+            more, cross, own = self._intensities(residual, V, B)
+            cross = cross * (2 * variance[:, None])
+            F = np.block([[F, cross], [cross.T, own]])
+            score = np.concatenate([score, more])
+            firm = block_diag(firm, self.firm)
+            moved = np.log(self.intensity[there] / self.carried[there])
+            pull = np.concatenate([pull, self.firm @ moved])
+        H = F + firm
+        if len(there):
+            self.information = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
+        step = np.clip(np.linalg.solve(H, score - pull), -1.0, 1.0)
+        self.log_sigma = self.log_sigma + step[:p]
+        self.intensity[there] *= np.exp(step[p:])
+        self.log_sigma_var = np.diag(np.linalg.inv(H))[:p].copy()
+
+    def _intensities(
+        self, residual: ComplexArray, V: FloatArray, B: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Score (t,) of the logarithms of intensities there, information with σ² (p, t), with each other."""
+        kept, nb, there = self.cells.kept, self.layout.base, self.there
+        d = self.cells.D[:, :, there]
+        Sd = self.Si @ d
+        dS = Sd.conj().transpose(0, 2, 1)
+        between = d.conj().transpose(0, 2, 1) @ Sd
+        power = self.intensity[there, None] ** 2 * self.cells.spectra[there]  # (t, C)
+        weighted = self.cells.weight * power
+        shown = np.abs((d[:kept].conj().transpose(0, 2, 1) @ residual[..., None])[..., 0]) ** 2
+        Y = (dS[:kept] @ self.X[..., :nb]).reshape(-1, nb)
+        leverage = (((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)).reshape(kept, -1)
+        score = np.einsum("tk,kt->t", weighted[:, :kept], shown + leverage)
+        score -= np.einsum("tk,ktt->t", weighted, between.real)
+        score += np.einsum("tk,ktt->t", power[:, kept:], (dS[kept:] @ self.high.R @ Sd[kept:]).real)
+        cross = np.einsum("kc,kct,tk->ct", B, np.abs(Sd) ** 2, power)
+        own = 2 * np.einsum("tk,ktu,uk->tu", weighted, np.abs(between) ** 2, power)
+        return score, cross, own
 
     def _level_step(self, residual: ComplexArray, leverage: FloatArray, carried: Noise) -> None:
         """Expected noise power a bin given the data (EM), added to what was carried."""

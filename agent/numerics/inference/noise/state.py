@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.sources import Source
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,7 @@ class Noise:
     turn: int = 0
     walk: float = tuning.SIGMA_WALK**2
     counted: float = tuning.SIGMA_WALK_DOF
+    information: FloatArray | None = None
 
     @classmethod
     def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
@@ -91,6 +92,21 @@ class Noise:
         return tuple(
             a for a, source in enumerate(sources) if source.is_slow_force or (source.is_colour and there[a])
         )
+
+    @property
+    def there(self) -> IntArray:
+        """Sources that are there for sure."""
+        if not self.is_started:
+            return np.zeros(0, dtype=np.int64)
+        large = self.intensity > tuning.ACTIVE_NODES * self.nodes[:, 0]
+        return np.flatnonzero(large & (self.log_weight[:, 0] < -tuning.SURE))
+
+    def firm(self, there: IntArray) -> FloatArray:
+        """Precision (t, t) of the logarithms of intensities that are there, by what was carried."""
+        carried = np.zeros((len(there), len(there)))
+        if self.information is not None:
+            carried = tuning.FORGET * self.information[np.ix_(there, there)]
+        return carried + np.diag(1.0*(np.diag(carried)<1.0))
 
     @property
     def is_started(self) -> bool:

@@ -91,9 +91,7 @@ def _order(noise: Noise) -> IntArray:
 
 def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     keep = tuning.FORGET
-    spread, log_weight, nodes = noise.spread.copy(), noise.log_weight.copy(), noise.nodes.copy()
-    for a, grid in scan.after.items():
-        nodes[a] = grid
+    spread, log_weight = noise.spread.copy(), noise.log_weight.copy()
     for a, value in scan.spread.items():
         spread[a] = value
     for a, logs in scan.log_weight.items():
@@ -103,11 +101,12 @@ def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     power = np.where(seen, prior + keep * (noise.power - prior) + fit.seen_power, noise.power)
     dof = np.where(seen, prior + keep * (noise.dof - prior) + fit.seen_dof, noise.dof)
     walk, counted = _walk_after(noise, fit)
-    information = np.zeros((len(fit.intensity),) * 2)
-    if fit.information is not None:
+    information = None
+    if len(fit.there):
+        information = np.zeros((len(fit.intensity),) * 2)
         information[np.ix_(fit.there, fit.there)] = fit.information
     return Noise(
-        fit.log_sigma, fit.log_sigma_var, power, dof, nodes, log_weight, fit.intensity, spread,
+        fit.log_sigma, fit.log_sigma_var, power, dof, noise.nodes, log_weight, fit.intensity, spread,
         noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted, information,
     )  # fmt: skip
 

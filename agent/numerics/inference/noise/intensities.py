@@ -3,7 +3,6 @@
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.noise.between_nodes import mean, moved
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.covariance import Cells
@@ -40,7 +39,6 @@ class Scan:
         self.ends = np.arange(fit.layout.ends.start, fit.layout.ends.stop)
         self.one = np.eye(fit.layout.base + 1)
         self.log_weight: dict[int, FloatArray] = {}
-        self.after: dict[int, FloatArray] = {}
         self.spread: dict[int, FloatArray] = {}
 
     def axis(self, a: int) -> None:
@@ -62,12 +60,13 @@ class Scan:
                 a
             ].copy()  # no node has digits in this window: it says nothing of it
             return
-        weight = np.exp(np.maximum(logs - logs.max(), tuning.LOWEST_LOG_WEIGHT) + PRIOR_LOG[lo:hi])
+        self.log_weight[a] = np.full(self.nodes.shape[1], tuning.LOWEST_LOG_WEIGHT)
+        self.log_weight[a][lo:hi] = np.maximum(logs - logs.max(), tuning.LOWEST_LOG_WEIGHT)
+        weight = np.exp(self.log_weight[a][lo:hi] + PRIOR_LOG[lo:hi])
         weight /= weight.sum()
         before = fit.intensity[a]
-        if a not in fit.there:
-            fit.intensity[a] = mean(logs, self.nodes[a, lo:hi], float(PRIOR_LOG[lo]))
-        self.after[a], self.log_weight[a] = moved(logs, self.nodes[a], lo, fit.intensity[a])
+        if a not in fit.there:  # else what all sources have in common decided
+            fit.intensity[a] = float(weight @ self.nodes[a, lo:hi])
         if self.pred is not None and fit.sources[a].kind == "force":
             self.spread[a] = self._spread(a, self.nodes[a, lo:hi], weight, grams, ends)
         self._move((fit.intensity[a] ** 2 - before**2) * shape)

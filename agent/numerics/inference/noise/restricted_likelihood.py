@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
+from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.spectral.algebra import inverse, log_determinant
 from agent.numerics.inference.spectral.columns import Layout, Regression
@@ -32,6 +32,10 @@ class NoiseFit:
         regression: the window.
         sources: whose intensities are sought.
         ridge: prior of the columns with the constants wide; its end-effect entries are set here.
+
+    Attributes:
+        there: (t,) sources whose variances are sought together with σ;  information: (t, t) of these, this
+            window's in it once it was scored.
     """
 
     def __init__(
@@ -46,10 +50,9 @@ class NoiseFit:
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
         self.ends = Ends(cells.response, sources, self.layout.lasting)
-        self.there = noise.there
-        self.firm = noise.firm(self.there)
-        self.information: FloatArray | None = None
-        self.carried = noise.intensity.copy()
+        self.there, self.nodes = noise.there(sources), noise.nodes
+        self.information = noise.firmness(self.there, sources)
+        self._firm, self._carried = self.information, noise.intensity[self.there] ** 2
 
     # ------------------------------------------------------------------ S, S⁻¹ and the Gram at today's values
     def refresh(self) -> None:
@@ -82,31 +85,38 @@ class NoiseFit:
         """Fisher scoring of log σ by REML with a Gaussian prior, and EM of the bins' levels."""
         for _ in range(steps):
             self.refresh()
-            residual, leverage, V = self._fitted()
+            residual, leverage, whole = self._fitted()
             before = self.log_sigma
-            self._score_step(residual, leverage, V, prior_mean, prior_var)
+            self._score_step(residual, leverage, whole, prior_mean, prior_var)
             if self.sources:
                 self._level_step(residual, leverage, carried)
             if np.abs(self.log_sigma - before).max() < RESTING:
                 break
         self.refresh()
 
-    def _fitted(self) -> tuple[ComplexArray, FloatArray, FloatArray]:
-        """S⁻¹ of the residual (kept, p), diag S⁻¹ X M⁻¹ Xᵀ S⁻¹ (kept, p), and M⁻¹ (base, base)."""
+    def _fitted(self) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+        """S⁻¹ of the residual (kept, p), and S⁻¹ X M⁻¹ Xᵀ S⁻¹: its diagonal (kept, p), and whole (kept, p, p).
+
+        The whole of it is left empty where no intensity asks for it.
+        """
         nb, kept = self.layout.base, self.cells.kept
         V = inverse(self.G[:nb, :nb] + self.ridge())
         fit = V @ (self.G[:nb, nb] + self.b)
         Si = self.Si[:kept]
         residual = (Si @ (self.X[..., nb] - self.X[..., :nb] @ fit)[..., None])[..., 0]
-        Y = (Si @ self.X[..., :nb]).reshape(-1, nb)
+        Y = Si @ self.X[..., :nb]
+        if len(self.there):
+            whole = (Y.reshape(-1, nb) @ V).reshape(Y.shape) @ Y.conj().transpose(0, 2, 1)
+            return residual, np.einsum("kcc->kc", whole).real, whole
+        Y = Y.reshape(-1, nb)
         leverage = ((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)
-        return residual, leverage.reshape(kept, -1), V
+        return residual, leverage.reshape(kept, -1), np.zeros((0, 0, 0), dtype=complex)
 
     def _score_step(
         self,
         residual: ComplexArray,
         leverage: FloatArray,
-        V: FloatArray,
+        whole: ComplexArray,
         prior_mean: FloatArray,
         prior_var: FloatArray,
     ) -> None:
@@ -121,44 +131,43 @@ class NoiseFit:
         quad += np.einsum("kcc->c", high @ self.high.R @ high).real
         score = variance * (quad - (B * diagonal).sum(axis=0) + (B[:kept] * leverage).sum(axis=0))
         F = 2 * np.einsum("kc,kcd,kd->cd", B, np.abs(self.Si) ** 2, levels) * np.outer(variance, variance)
+        H = F + np.diag(1.0 / prior_var)
+        g = score - (self.log_sigma - prior_mean) / prior_var
+        if not len(self.there):
+            self.log_sigma = self.log_sigma + np.clip(np.linalg.solve(H, g), -1.0, 1.0)
+            self.log_sigma_var = np.diag(np.linalg.inv(H)).copy()
+            return
         p, there = len(variance), self.there
-        pull = (self.log_sigma - prior_mean) / prior_var
-        firm = np.diag(1.0 / prior_var)
-        if len(there):
-            more, cross, own = self._intensities(residual, V, B)
-            cross = cross * (2 * variance[:, None])
-            F = np.block([[F, cross], [cross.T, own]])
-            score = np.concatenate([score, more])
-            firm = block_diag(firm, self.firm)
-            moved = np.log(self.intensity[there] / self.carried[there])
-            pull = np.concatenate([pull, self.firm @ moved])
-        H = F + firm
-        if len(there):
-            self.information = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
-        step = np.clip(np.linalg.solve(H, score - pull), -1.0, 1.0)
-        self.log_sigma = self.log_sigma + step[:p]
-        self.intensity[there] *= np.exp(step[p:])
+        more, cross, own = self._intensities(residual, whole, B)
+        cross = cross * variance[:, None]
+        now = self.intensity[there] ** 2
+        H = np.block([[H, cross], [cross.T, own + self._firm]])
+        g = np.concatenate([g, more - self._firm @ (now - self._carried)])
+        least = np.concatenate([np.full(p, -1.0), self.nodes[there, 0] ** 2 - now])
+        step = bounded(H, g, least)
+        self.log_sigma = self.log_sigma + np.minimum(step[:p], 1.0)
+        self.intensity[there] = np.sqrt(np.minimum(now + step[p:], tuning.GROWTH * now.max()))
         self.log_sigma_var = np.diag(np.linalg.inv(H))[:p].copy()
+        self.information = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
 
     def _intensities(
-        self, residual: ComplexArray, V: FloatArray, B: FloatArray
+        self, residual: ComplexArray, whole: ComplexArray, B: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Score (t,) of the logarithms of intensities there, information with σ² (p, t), with each other."""
-        kept, nb, there = self.cells.kept, self.layout.base, self.there
-        d = self.cells.D[:, :, there]
+        """Score (t,) of the variances of sources there, their information with σ² (p, t) and each other."""
+        kept, there = self.cells.kept, self.there
+        d, spectra, weight = self.cells.D[:, :, there], self.cells.spectra[there], self.cells.weight
         Sd = self.Si @ d
-        dS = Sd.conj().transpose(0, 2, 1)
+        low, high = d[:kept].conj().transpose(0, 2, 1), Sd[kept:].conj().transpose(0, 2, 1)
         between = d.conj().transpose(0, 2, 1) @ Sd
-        power = self.intensity[there, None] ** 2 * self.cells.spectra[there]  # (t, C)
-        weighted = self.cells.weight * power
-        shown = np.abs((d[:kept].conj().transpose(0, 2, 1) @ residual[..., None])[..., 0]) ** 2
-        Y = (dS[:kept] @ self.X[..., :nb]).reshape(-1, nb)
-        leverage = (((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)).reshape(kept, -1)
-        score = np.einsum("tk,kt->t", weighted[:, :kept], shown + leverage)
-        score -= np.einsum("tk,ktt->t", weighted, between.real)
-        score += np.einsum("tk,ktt->t", power[:, kept:], (dS[kept:] @ self.high.R @ Sd[kept:]).real)
-        cross = np.einsum("kc,kct,tk->ct", B, np.abs(Sd) ** 2, power)
-        own = 2 * np.einsum("tk,ktu,uk->tu", weighted, np.abs(between) ** 2, power)
+        shown = np.abs((low @ residual[..., None])[..., 0]) ** 2
+        shown += np.einsum("ktc,kcd,kdt->kt", low, whole, d[:kept], optimize=True).real
+        shown -= np.einsum("ktt->kt", between[:kept]).real
+        above = np.einsum("ktt->kt", high @ self.high.R @ Sd[kept:]).real
+        above -= weight[kept:, None] * np.einsum("ktt->kt", between[kept:]).real
+        score = 0.5 * (np.einsum("k,tk,kt->t", weight[:kept], spectra[:, :kept], shown))
+        score += 0.5 * np.einsum("tk,kt->t", spectra[:, kept:], above)
+        cross = np.einsum("kc,kct,tk->ct", B, np.abs(Sd) ** 2, spectra)
+        own = 0.5 * np.einsum("tk,ktu,uk->tu", weight * spectra, np.abs(between) ** 2, spectra, optimize=True)
         return score, cross, own
 
     def _level_step(self, residual: ComplexArray, leverage: FloatArray, carried: Noise) -> None:
@@ -247,3 +256,18 @@ def layout_free(layout: Layout) -> FloatArray:
     free = np.zeros(layout.base)
     free[layout.psi] = 1e-6
     return free
+
+
+def bounded(H: FloatArray, g: FloatArray, least: FloatArray) -> FloatArray:
+    """Return x (k,) of the least ½ xᵀ H x − gᵀ x with x >= least, each bound met once kept."""
+    d = 1.0 / np.sqrt(np.diag(H))
+    H, g, least = H * np.outer(d, d), g * d, least / d
+    x, free = np.maximum(0.0 * g, least), np.ones(len(g), dtype=bool)
+    for _ in range(len(g)):
+        x[~free] = least[~free]
+        x[free] = np.linalg.solve(H[np.ix_(free, free)], g[free] - H[np.ix_(free, ~free)] @ x[~free])
+        below = free & (x < least)
+        if not below.any():
+            break
+        free &= ~below
+    return np.asarray(np.maximum(x, least) * d)

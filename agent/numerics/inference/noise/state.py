@@ -23,6 +23,8 @@ class Noise:
         spread: (a, q) relative variance that the uncertainty of each intensity adds to each parameter.
         windows: windows learnt; turn: whose turn it is in the rotation.
         walk: variance of the random walk of log σ from window to window; counted: windows behind it.
+        information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten; 0
+            for the others; None where there are none.
     """
 
     log_sigma: FloatArray
@@ -93,20 +95,29 @@ class Noise:
             a for a, source in enumerate(sources) if source.is_slow_force or (source.is_colour and there[a])
         )
 
-    @property
-    def there(self) -> IntArray:
-        """Sources that are there for sure."""
+    def there(self, sources: tuple[Source, ...]) -> IntArray:
+        """Return the sources of forces and sensors of which one source is there for sure."""
         if not self.is_started:
             return np.zeros(0, dtype=np.int64)
         large = self.intensity > tuning.ACTIVE_NODES * self.nodes[:, 0]
-        return np.flatnonzero(large & (self.log_weight[:, 0] < -tuning.SURE))
+        sure = large & (self.log_weight[:, 0] < -tuning.SURE)
+        origins = {sources[a].origin for a in np.flatnonzero(sure)}
+        return np.array([a for a, source in enumerate(sources) if source.origin in origins], dtype=np.int64)
 
-    def firm(self, there: IntArray) -> FloatArray:
-        """Precision (t, t) of the logarithms of intensities that are there, by what was carried."""
-        carried = np.zeros((len(there), len(there)))
-        if self.information is not None:
-            carried = tuning.FORGET * self.information[np.ix_(there, there)]
-        return carried + np.diag(1.0*(np.diag(carried)<1.0))
+    def firmness(self, there: IntArray, sources: tuple[Source, ...]) -> FloatArray:
+        """Return the precision (t, t) of the variances of sources that are there, by windows before.
+
+        What is new may be as large as the largest of its origin.
+        """
+        variance = self.intensity[there] ** 2
+        largest: dict[tuple[str, int], float] = {}
+        for a, value in zip(there.tolist(), variance.tolist(), strict=True):
+            largest[sources[a].origin] = max(value, largest.get(sources[a].origin, 0.0))
+        first = np.array([largest[sources[a].origin] ** -2.0 for a in there.tolist()])
+        if self.information is None:
+            return np.diag(first)
+        carried = tuning.FORGET * self.information[np.ix_(there, there)]
+        return np.asarray(carried + np.diag(np.where(np.diag(carried) > 0, 0.0, first)))
 
     @property
     def is_started(self) -> bool:

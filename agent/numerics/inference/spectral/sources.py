@@ -37,6 +37,11 @@ class Source:
         return self.kind == "force" and self.pole > 0
 
     @property
+    def origin(self) -> tuple[str, int]:
+        """The force or sensor, whatever the colour."""
+        return self.kind, self.number
+
+    @property
     def is_colour(self) -> bool:
         """Whether it is a sensor's noise that remembers itself."""
         return self.kind == "sensor" and self.pole > 0

@@ -91,7 +91,9 @@ def _order(noise: Noise) -> IntArray:
 
 def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     keep = tuning.FORGET
-    spread, log_weight = noise.spread.copy(), noise.log_weight.copy()
+    # of a sensor's colours only those that are there count
+    spread = noise.spread * np.array([source.kind == "force" for source in fit.sources], dtype=float)[:, None]
+    log_weight = noise.log_weight.copy()
     for a, value in scan.spread.items():
         spread[a] = value
     for a, logs in scan.log_weight.items():

@@ -170,6 +170,24 @@ class NoiseFit:
         own = 0.5 * np.einsum("tk,ktu,uk->tu", weight * spectra, np.abs(between) ** 2, spectra, optimize=True)
         return score, cross, own
 
+    def unsure(self, pred: Ridge) -> FloatArray:
+        """Return the relative variance (q,) that not knowing the variances there adds to the parameters.
+
+        A variance that is too large is so as often as too small; what it adds is how it moves the estimates.
+        pred: prior of the columns with the constants as known.
+        """
+        kept, nb, there, psi = self.cells.kept, self.layout.base, self.there, self.layout.psi
+        M = self.G[:nb, :nb] + pred.R
+        ends = range(self.layout.ends.start, self.layout.ends.stop)
+        M[ends, ends] = self.G[ends, ends] + self.ends.precision(self.intensity)
+        V = inverse(M)
+        fit = V @ (self.G[:nb, nb] + pred.b)
+        shown = (self.Si[:kept] @ self.cells.D[:kept][:, :, there]).conj().transpose(0, 2, 1) @ self.X
+        left = shown[..., nb] - shown[..., :nb] @ fit
+        weight = (self.cells.weight * self.cells.spectra[there])[:, :kept]
+        moved = V[psi] @ np.einsum("tk,ktb,kt->bt", weight, shown[..., :nb].conj(), left).real
+        return np.asarray(np.einsum("qt,tu,qu->q", moved, inverse(self.information), moved) / np.diag(V)[psi])
+
     def _level_step(self, residual: ComplexArray, leverage: FloatArray, carried: Noise) -> None:
         """Expected noise power a bin given the data (EM), added to what was carried."""
         kept, bins = self.cells.kept, self.cells.response.bins

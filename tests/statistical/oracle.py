@@ -1,7 +1,7 @@
-"""What nobody can know better: the Cramér-Rao sd of each parameter in each window where the noise's spectrum is given.
+"""What nobody can know better: each parameter's Cramér-Rao sd in each window, given the noise's spectrum.
 
-Dense generalised least squares in the time domain, from the simulator's own motion; it shares no code with the
-agent. With readings y = Γ e₀ + Ψ δ + Ξ η + n, n ~ N(0, S), S as it truly is, e₀ and δ flat, the sds are those of
+Dense generalised least squares in the time domain, of the simulator's own motion; no code is shared with the
+agent. With readings y = Γ e₀ + Ψ δ + Ξ η + n, n ~ N(0, S) as it truly is, e₀ and δ flat, the sds are those of
 δ with the constants η
 
     exact     known
@@ -11,22 +11,20 @@ agent. With readings y = Γ e₀ + Ψ δ + Ξ η + n, n ~ N(0, S), S as it truly
 The little that an unknown force's own spectrum tells of the rig is not counted: its motion is not known.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 
 from agent.types import FloatArray
 from sim_bus.rig.plant import equations, step
-from tests.statistical.chains import Chain
 from tests.statistical.nearly_right import CASES, SETTLE_WINDOWS, Play
 
 MASS_SHEET, GAIN_SHEET, DELAY_SHEET = 0.02, 0.01, 0.25
 """Data sheets where a configuration says none: of logarithms, and samples."""
-RESOLVE, LIMIT = 0.33, 0.15
-"""A row is valid up to this share of the alarm limit, which is that share of the parameter."""
-STEP = 1e-4
+ENOUGH = 0.33 * 0.15
+"""Relative sd up to which a row is valid: `resolve` times the alarm limit of 15 %."""
+CHANGE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class Spectrum:
     Attributes:
         pole: a of all sensors' Gauss-Markov noise; 0: white.
         forces: (mass, sd, pole) of unknown Gauss-Markov forces.
-        digits: significant digits of the readings; 0: all.
+        digits: significant digits of the readings, their rounding taken for white noise; 0: all.
     """
 
     pole: float = 0.0
@@ -56,152 +54,143 @@ SPECTRA: dict[str, Spectrum] = {
     "three digits": Spectrum(digits=3),
     "three digits, AR(0.95) sensors": Spectrum(0.95, digits=3),
 }
-"""Of the cases that the table of docs/statistics.md compares."""
+"""Cases of `nearly_right` in which forces or colours may hide a parameter."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Relative Cramér-Rao sds (windows, q) of disjoint windows."""
+    """Relative Cramér-Rao sds (windows, q) of disjoint windows, constants known as the module's text says."""
 
     exact: FloatArray
     sheet: FloatArray
     carried: FloatArray
-    names: tuple[str, ...] = field(default=())
 
-    @staticmethod
-    def known(sd: FloatArray) -> float:
-        """The share of estimates sharp enough for a valid row."""
-        return float((sd <= RESOLVE * LIMIT).mean())
+
+def known(sd: FloatArray) -> float:
+    """The share of estimates that are sharp enough for a valid row."""
+    return float((sd <= ENOUGH).mean())
 
 
 def bound(name: str, seed: int, windows: int) -> Bound:
-    """Return the bound of the recording that `nearly_right.play` makes of the same name, seed and windows."""
-    case, spectrum = CASES[name], SPECTRA[name]
-    chain, W = case.chain, case.chain.window
+    """The bound of the recording that `nearly_right.play` makes of the same name, seed and windows."""
+    made = recording(name, seed, windows)
+    return bound_of(made, SPECTRA[name], windows)
+
+
+def recording(name: str, seed: int, windows: int) -> Play:
+    case = CASES[name]
     rng = np.random.default_rng([seed, *name.encode()])
-    first = SETTLE_WINDOWS * W
-    made = Play.of(chain, rng, first + windows * W + 1)
+    made = Play.of(case.chain, rng, (SETTLE_WINDOWS + windows) * case.chain.window + 1)
     for change in case.changes:
         change(made, rng)
-    columns, gains, truth = _columns(made)
-    free = _free(chain, made)
-    noise = _Noise(spectrum, chain, made, W)
-    return Bound(*_sds(columns, gains, truth, free, noise, range(first, first + windows * W, W)), chain.names)
+    return made
 
 
-def _motion(made: Play, theta: FloatArray, masses: list[float], others: bool = True) -> FloatArray:
-    """(N, p) motion of the true rig, or of one whose parameters and masses are others."""
-    chain = made.chain
-    every = 1 if made.fine is None else len(made.fine) // len(made.force)
-    known = made.force if made.fine is None else made.fine
-    forces = np.repeat(made.others, every, axis=0) * others
-    forces[:, -1] += known
-    y = chain.motion(forces, masses, made.hold, [(0, theta)], every * chain.rate_hz)  # type: ignore[arg-type]
-    return y[::every]
-
-
-def _columns(made: Play) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Ψ and Ξ (N, p, q + c), the constants' data sheets (c,), and the readings without noise (N, p).
-
-    From rest at the recording's start: from a window's start they differ by a free response only.
-    """
-    chain = made.chain
-    theta, masses = chain.theta, list(made.masses)
-    columns = []
-    for i in range(len(theta)):
-        up, down = theta.copy(), theta.copy()
-        up[i] *= 1 + STEP
-        down[i] *= 1 - STEP
-        columns.append((_motion(made, up, masses) - _motion(made, down, masses)) / (2 * STEP))
-    for i in range(len(masses)):
-        up, down = ([m * (1 + s * (j == i)) for j, m in enumerate(masses)] for s in (STEP, -STEP))
-        columns.append((_motion(made, theta, up) - _motion(made, theta, down)) / (2 * STEP))
-    y, known = _motion(made, theta, masses), _motion(made, theta, masses, others=False)
-    columns += [y * (np.arange(y.shape[1]) == c) for c in range(y.shape[1])]
-    columns += [known, -np.gradient(known, axis=0)]
-    sheets = [MASS_SHEET] * len(masses) + [GAIN_SHEET] * (y.shape[1] + 1) + [DELAY_SHEET]
+def bound_of(made: Play, spectrum: Spectrum, windows: int) -> Bound:
+    W, q, masses = made.chain.window, len(made.chain.theta), len(made.masses)
+    sheets = np.array([MASS_SHEET] * masses + [GAIN_SHEET] * (len(made.chain.sensors) + 1) + [DELAY_SHEET])
+    columns, free, noise = derivatives(made), _free(made), Noise(spectrum, made)
+    y = _motion(made)
     for change in made.after:
         y = change(y)
-    return np.stack(columns, axis=2), np.array(sheets), y
+    exact, sheet, carried = [], [], []
+    told = np.diag(sheets**-2.0)
+    for start in range(SETTLE_WINDOWS * W, (SETTLE_WINDOWS + windows) * W, W):
+        here = slice(start, start + W)
+        X = np.concatenate([free, columns[here]], axis=2).reshape(-1, free.shape[2] + columns.shape[2])
+        w = solve_triangular(noise.factor(y[here]), X, lower=True)
+        Q, _ = np.linalg.qr(w[:, : free.shape[2]])
+        left = w[:, free.shape[2] :] - Q @ (Q.T @ w[:, free.shape[2] :])
+        G = left.T @ left
+        V = np.linalg.inv(G[:q, :q])
+        Z = V @ G[:q, q:]
+        S = G[q:, q:] - G[q:, :q] @ Z
+        told = told + S
+        exact.append(np.sqrt(np.diag(V)))
+        for found, precision in ((sheet, np.diag(sheets**-2.0) + S), (carried, told)):
+            found.append(np.sqrt(np.diag(V + Z @ np.linalg.inv(precision) @ Z.T)))
+    return Bound(np.array(exact), np.array(sheet), np.array(carried))
 
 
-def _free(chain: Chain, made: Play) -> FloatArray:
-    """Γ (W, p, n): the response to each initial state."""
-    motion, one = _steps(chain, made)
-    seen = np.array([motion.output(quantity, f"m{mass + 1}")[0] for quantity, mass in chain.sensors])
-    state, out = np.eye(len(one.A)), []
-    for _ in range(chain.window):
-        out.append(seen @ state)
-        state = one.A @ state
-    return np.array(out)
+def derivatives(made: Play) -> FloatArray:
+    """Ψ, Ξ (N, p, q + c): by the logarithms of parameters, masses, gains of outputs and force; by the delay.
+
+    From rest at the recording's start: from a window's start on they differ by a free response only.
+    """
+    sizes = np.concatenate([made.chain.theta, made.masses])
+    columns = []
+    for i in range(len(sizes)):
+        moved = CHANGE * sizes * (np.arange(len(sizes)) == i)
+        columns.append((_motion(made, moved) - _motion(made, -moved)) / (2 * CHANGE))
+    y = _motion(made)
+    columns += [y * (np.arange(y.shape[1]) == output) for output in range(y.shape[1])]
+    driven = _motion(made, unknown=False)
+    return np.stack([*columns, driven, -np.gradient(driven, axis=0)], axis=2)
 
 
-def _steps(chain: Chain, made: Play):  # type: ignore[no-untyped-def] # noqa: ANN202
+def _motion(made: Play, moved: FloatArray | float = 0.0, unknown: bool = True) -> FloatArray:
+    """(N, p) motion of the true rig, its parameters and masses moved."""
+    chain, q = made.chain, len(made.chain.theta)
+    every = 1 if made.fine is None else len(made.fine) // len(made.force)
+    values = np.concatenate([chain.theta, made.masses]) + moved
+    forces = np.repeat(made.others, every, axis=0) * unknown
+    forces[:, -1] += made.force if made.fine is None else made.fine
+    rate_hz = every * chain.rate_hz
+    return chain.motion(forces, values[q:].tolist(), made.hold, [(0, values[:q])], rate_hz)[::every]  # type: ignore[arg-type]
+
+
+def _impulses(made: Play) -> tuple[FloatArray, FloatArray]:
+    """The response (W, p, n) to each initial state, and (W, p, masses) to 1 N in the first sample."""
+    chain = made.chain
     values = dict(zip(chain.names, chain.theta.tolist(), strict=True))
     motion = equations(chain.graph, values | {f"m{i + 1}": m for i, m in enumerate(made.masses)})
-    return motion, step(motion, 1.0 / chain.rate_hz, made.hold)  # type: ignore[arg-type]
+    one = step(motion, 1.0 / chain.rate_hz, made.hold)  # type: ignore[arg-type]
+    seen, direct = (
+        np.array(part)
+        for part in zip(*(motion.output(kind, f"m{mass + 1}") for kind, mass in chain.sensors), strict=True)
+    )
+    free, pushed = np.eye(len(one.A)), one.B1
+    out = [(seen @ free, seen @ pushed + direct)]
+    pushed = one.A @ pushed + one.B0
+    for _ in range(1, chain.window):
+        free = one.A @ free
+        out.append((seen @ free, seen @ pushed))
+        pushed = one.A @ pushed
+    return np.array([f for f, _ in out]), np.array([p for _, p in out])
 
 
-class _Noise:
-    """The covariance of a window's noise, readings by time and then by output, and its Cholesky factor."""
+def _free(made: Play) -> FloatArray:
+    """Γ (W, p, n), columns scaled."""
+    free = _impulses(made)[0]
+    return np.asarray(free / np.sqrt((free**2).sum(axis=(0, 1))))
 
-    def __init__(self, spectrum: Spectrum, chain: Chain, made: Play, samples: int) -> None:
-        self.spectrum, p = spectrum, len(chain.sensors)
-        sd = np.array(chain.noise)
-        self.S = np.kron(_markov(spectrum.pole, samples), np.diag(sd**2))
-        motion, one = _steps(chain, made)
-        outputs = [motion.output(quantity, f"m{mass + 1}") for quantity, mass in chain.sensors]
-        for mass, force_sd, pole in spectrum.forces:
-            pushed = np.zeros((samples, p, samples))
-            for s in range(1):
-                state = np.zeros(len(one.A))
-                impulse = np.zeros((samples, p))
-                for k in range(samples):
-                    impulse[k] = [h @ state + j[mass] * (k == 0) for h, j in outputs]
-                    state = one.A @ state + one.B0[:, mass] * (k == 0)
-                    # a straight line begins a sample before the reading where it ends
-                    state = state + (one.A @ one.B1[:, mass] * (k == 0))
-            late = impulse.copy()
-            late[0] += [h @ one.B1[:, mass] for h, _ in outputs]
-            for s in range(samples):
-                pushed[s:, :, s] = late[: samples - s]
-            G = pushed.reshape(samples * p, samples)
-            self.S = self.S + force_sd**2 * G @ _markov(pole, samples) @ G.T
+
+class Noise:
+    """The covariance (Wp, Wp) of a window's noise, readings in order of time, then of outputs.
+
+    What an unknown force did before the window is in its initial state.
+    """
+
+    def __init__(self, spectrum: Spectrum, made: Play) -> None:
+        W, p = made.chain.window, len(made.chain.sensors)
+        self._digits = spectrum.digits
+        self.S = np.kron(_markov(spectrum.pole, W), np.diag(np.array(made.chain.noise) ** 2))
+        impulses = _impulses(made)[1]
+        for mass, sd, pole in spectrum.forces:
+            pushed = np.zeros((W, p, W))
+            for sample in range(W):
+                pushed[sample:, :, sample] = impulses[: W - sample, :, mass]
+            G = pushed.reshape(W * p, W)
+            self.S = self.S + sd**2 * G @ _markov(pole, W) @ G.T
         self._factor = cholesky(self.S, lower=True)
 
     def factor(self, y: FloatArray) -> FloatArray:
         """L of L Lᵀ = S in a window of readings y (W, p), with what rounding them adds."""
-        if not self.spectrum.digits:
-            return self._factor
-        size = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(y), 1e-300))) - self.spectrum.digits + 1)
+        if not self._digits:
+            return np.asarray(self._factor)
+        size = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(y), 1e-300))) - self._digits + 1)
         return np.asarray(cholesky(self.S + np.diag(size.reshape(-1) ** 2 / 12), lower=True))
 
 
 def _markov(pole: float, samples: int) -> FloatArray:
-    return np.asarray(toeplitz(float(pole) ** np.arange(samples)) if pole else np.eye(samples))
-
-
-def _sds(
-    columns: FloatArray, sheets: FloatArray, y: FloatArray, free: FloatArray, noise: _Noise, starts: range
-) -> Iterator[FloatArray]:
-    """Relative sds (windows, q) with constants exact, at data sheet, and carried."""
-    W, p, n = free.shape
-    q = columns.shape[2] - len(sheets)
-    exact, sheet, carried = [], [], []
-    told = np.zeros((len(sheets), len(sheets)))
-    prior = np.diag(sheets**-2.0)
-    for start in starts:
-        X = np.concatenate([free, columns[start : start + W]], axis=2).reshape(W * p, -1)
-        X = X / np.linalg.norm(X, axis=0) * (size := np.linalg.norm(X, axis=0)) if False else X
-        w = solve_triangular(noise.factor(y[start : start + W]), X, lower=True)
-        Q, _ = np.linalg.qr(w[:, :n])
-        rest = w[:, n:] - Q @ (Q.T @ w[:, n:])
-        G = rest.T @ rest
-        V = np.linalg.inv(G[:q, :q])
-        Z = V @ G[:q, q:]
-        told = told + G[q:, q:] - G[q:, :q] @ Z
-        exact.append(np.sqrt(np.diag(V)))
-        both = G + np.diag(np.concatenate([np.zeros(q), sheets**-2.0]))
-        sheet.append(np.sqrt(np.diag(np.linalg.inv(both))[:q]))
-        carried.append(np.sqrt(np.diag(V + Z @ np.linalg.inv(prior + told) @ Z.T)))
-    return iter((np.array(exact), np.array(sheet), np.array(carried)))
+    return np.asarray(toeplitz(pole ** np.arange(samples)) if pole else np.eye(samples))

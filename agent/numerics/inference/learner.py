@@ -125,7 +125,7 @@ class Learner:
     def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:
         """Whether dry friction across a damper is evident and would move an estimate by more than its sd."""
         layout = at.regression.layout
-        gain = Regressor(self.rig, at.cells.response, self.sources, (), known.eta).output_gain
+        gain = Regressor(self.rig, at.cells.response, self.sources, known.eta).output_gain
         misfit = max(1.0, float(known.scatter.within.max()))
         for rubbing in self.rig.rubbings:
             more = column(at.cells.response, at.regression.states, rubbing, gain)[..., None]

@@ -50,9 +50,11 @@ class NoiseFit:
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
         self.ends = Ends(cells.response, sources, self.layout.lasting)
-        self.there, self.nodes = noise.there(sources), noise.nodes
+        self.there = noise.there(sources)
         self.information = noise.firmness(self.there, sources)
-        self._firm, self._carried = self.information, noise.intensity[self.there] ** 2
+        self._firm = self.information
+        self._carried = noise.intensity[self.there] ** 2
+        self._least = noise.nodes[self.there, :1].ravel() ** 2
 
     # ------------------------------------------------------------------ S, S⁻¹ and the Gram at today's values
     def refresh(self) -> None:
@@ -137,16 +139,15 @@ class NoiseFit:
             self.log_sigma = self.log_sigma + np.clip(np.linalg.solve(H, g), -1.0, 1.0)
             self.log_sigma_var = np.diag(np.linalg.inv(H)).copy()
             return
-        p, there = len(variance), self.there
+        p = len(variance)
         more, cross, own = self._intensities(residual, whole, B)
         cross = cross * variance[:, None]
-        now = self.intensity[there] ** 2
+        now = self.intensity[self.there] ** 2
         H = np.block([[H, cross], [cross.T, own + self._firm]])
         g = np.concatenate([g, more - self._firm @ (now - self._carried)])
-        least = np.concatenate([np.full(p, -1.0), self.nodes[there, 0] ** 2 - now])
-        step = bounded(H, g, least)
+        step = bounded(H, g, np.concatenate([np.full(p, -1.0), self._least - now]))
         self.log_sigma = self.log_sigma + np.minimum(step[:p], 1.0)
-        self.intensity[there] = np.sqrt(np.minimum(now + step[p:], tuning.GROWTH * now.max()))
+        self.intensity[self.there] = np.sqrt(np.minimum(now + step[p:], tuning.GROWTH * now.max()))
         self.log_sigma_var = np.diag(np.linalg.inv(H))[:p].copy()
         self.information = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
 
@@ -277,15 +278,22 @@ def layout_free(layout: Layout) -> FloatArray:
 
 
 def bounded(H: FloatArray, g: FloatArray, least: FloatArray) -> FloatArray:
-    """Return x (k,) of the least ½ xᵀ H x − gᵀ x with x >= least, each bound met once kept."""
+    """Return x (k,) of the least ½ xᵀ H x − gᵀ x with x >= least, by principal pivoting.
+
+    What violates its condition changes sides, all at once; after some rounds the last one alone, which ends
+    (Júdice & Pires, Computers & Operations Research 21 (1994) 587).
+    """
     d = 1.0 / np.sqrt(np.diag(H))
     H, g, least = H * np.outer(d, d), g * d, least / d
-    x, free = np.maximum(0.0 * g, least), np.ones(len(g), dtype=bool)
-    for _ in range(len(g)):
+    x = least.copy()
+    free = np.ones(len(g), dtype=bool)
+    for turn in range(tuning.PIVOTS):
         x[~free] = least[~free]
         x[free] = np.linalg.solve(H[np.ix_(free, free)], g[free] - H[np.ix_(free, ~free)] @ x[~free])
-        below = free & (x < least)
-        if not below.any():
+        wrong = np.where(free, x < least, H @ x < g)
+        if not wrong.any():
             break
-        free &= ~below
+        if turn >= len(g):
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        free ^= wrong
     return np.asarray(np.maximum(x, least) * d)

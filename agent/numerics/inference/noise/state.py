@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.sources import Source
-from agent.types import FloatArray, IntArray
+from agent.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +23,8 @@ class Noise:
         spread: (a, q) relative variance that the uncertainty of each intensity adds to each parameter.
         windows: windows learnt; turn: whose turn it is in the rotation.
         walk: variance of the random walk of log σ from window to window; counted: windows behind it.
-        information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten; 0
-            for the others; None where there are none.
+        information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten;
+            0 for the others; None where there are none.
     """
 
     log_sigma: FloatArray
@@ -88,19 +88,24 @@ class Noise:
         """Whether there is more or less noise than before, as in `exceeds`."""
         return not before.is_started or self.exceeds(before) or before.exceeds(self)
 
+    @property
+    def loud(self) -> BoolArray:
+        """(a,) sources that show beside the sensors' white noise."""
+        least = tuning.ACTIVE_NODES * self.nodes[:, 0] if self.is_started else np.inf
+        return np.asarray(self.intensity > least)
+
     def lasting(self, sources: tuple[Source, ...]) -> tuple[int, ...]:
-        """Return the sources whose work at a window's ends counts: slow forces, and colours that are there."""
-        there = self.intensity > tuning.ACTIVE_NODES * self.nodes[:, 0] if self.is_started else self.intensity > 0
+        """Return the sources whose work at a window's ends counts: slow forces, and colours that show."""
+        loud = self.loud
         return tuple(
-            a for a, source in enumerate(sources) if source.is_slow_force or (source.is_colour and there[a])
+            a for a, source in enumerate(sources) if source.is_slow_force or (source.is_colour and loud[a])
         )
 
     def there(self, sources: tuple[Source, ...]) -> IntArray:
         """Return the sources of forces and sensors of which one source is there for sure."""
         if not self.is_started:
             return np.zeros(0, dtype=np.int64)
-        large = self.intensity > tuning.ACTIVE_NODES * self.nodes[:, 0]
-        sure = large & (self.log_weight[:, 0] < -tuning.SURE)
+        sure = self.loud & (self.log_weight[:, 0] < -tuning.SURE)
         origins = {sources[a].origin for a in np.flatnonzero(sure)}
         return np.array([a for a, source in enumerate(sources) if source.origin in origins], dtype=np.int64)
 

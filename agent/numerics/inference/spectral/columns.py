@@ -151,9 +151,9 @@ class Regressor:
 
     Args:
         rig, response, sources: what is modelled.
-        lasting: numbers of the sources that get a column for the window's ends.
         eta: (c,) deviations of the constants at which the model stands; masses and the delay are in the
             response already.
+        lasting: numbers of the sources that get a column for the window's ends.
     """
 
     def __init__(
@@ -161,8 +161,8 @@ class Regressor:
         rig: Rig,
         response: Response,
         sources: tuple[Source, ...],
-        lasting: tuple[int, ...],
         eta: FloatArray,
+        lasting: tuple[int, ...] = (),
     ) -> None:
         self.rig, self.response, self.lasting = rig, response, lasting
         self._ending = [sources[a] for a in lasting]

@@ -1,7 +1,7 @@
 """What unknown forces and coloured noise do at a window's ends: columns whose prior variance is theirs.
 
-A slow force, or the noise of a sensor that remembers itself, differs from its periodic likeness by the response
-to a^k, of variance 2 v²; the mean of any force moves a free mass's momentum, of variance Σ (w E_j)² v² |P(1)|².
+A slow force, or a sensor's noise that remembers itself, differs from its periodic likeness by the response to
+a^k, of variance 2 v²; the mean of any force moves a free mass's momentum, of variance Σ (w E_j)² v² |P(1)|².
 """
 
 import numpy as np

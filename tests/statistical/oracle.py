@@ -89,8 +89,8 @@ def recording(name: str, seed: int, windows: int) -> Play:
 def bound_of(made: Play, spectrum: Spectrum, windows: int) -> Bound:
     W, q, masses = made.chain.window, len(made.chain.theta), len(made.masses)
     sheets = np.array([MASS_SHEET] * masses + [GAIN_SHEET] * (len(made.chain.sensors) + 1) + [DELAY_SHEET])
-    columns, free, noise = derivatives(made), _free(made), Noise(spectrum, made)
-    y = _motion(made)
+    columns, free, noise = derivatives(made), free_responses(made), Noise(spectrum, made)
+    y = motion(made)
     for change in made.after:
         y = change(y)
     exact, sheet, carried = [], [], []
@@ -121,14 +121,14 @@ def derivatives(made: Play) -> FloatArray:
     columns = []
     for i in range(len(sizes)):
         moved = CHANGE * sizes * (np.arange(len(sizes)) == i)
-        columns.append((_motion(made, moved) - _motion(made, -moved)) / (2 * CHANGE))
-    y = _motion(made)
+        columns.append((motion(made, moved) - motion(made, -moved)) / (2 * CHANGE))
+    y = motion(made)
     columns += [y * (np.arange(y.shape[1]) == output) for output in range(y.shape[1])]
-    driven = _motion(made, unknown=False)
+    driven = motion(made, unknown=False)
     return np.stack([*columns, driven, -np.gradient(driven, axis=0)], axis=2)
 
 
-def _motion(made: Play, moved: FloatArray | float = 0.0, unknown: bool = True) -> FloatArray:
+def motion(made: Play, moved: FloatArray | float = 0.0, unknown: bool = True) -> FloatArray:
     """(N, p) motion of the true rig, its parameters and masses moved."""
     chain, q = made.chain, len(made.chain.theta)
     every = 1 if made.fine is None else len(made.fine) // len(made.force)
@@ -143,11 +143,11 @@ def _impulses(made: Play) -> tuple[FloatArray, FloatArray]:
     """The response (W, p, n) to each initial state, and (W, p, masses) to 1 N in the first sample."""
     chain = made.chain
     values = dict(zip(chain.names, chain.theta.tolist(), strict=True))
-    motion = equations(chain.graph, values | {f"m{i + 1}": m for i, m in enumerate(made.masses)})
-    one = step(motion, 1.0 / chain.rate_hz, made.hold)  # type: ignore[arg-type]
+    rig = equations(chain.graph, values | {f"m{i + 1}": m for i, m in enumerate(made.masses)})
+    one = step(rig, 1.0 / chain.rate_hz, made.hold)  # type: ignore[arg-type]
     seen, direct = (
         np.array(part)
-        for part in zip(*(motion.output(kind, f"m{mass + 1}") for kind, mass in chain.sensors), strict=True)
+        for part in zip(*(rig.output(kind, f"m{mass + 1}") for kind, mass in chain.sensors), strict=True)
     )
     free, pushed = np.eye(len(one.A)), one.B1
     out = [(seen @ free, seen @ pushed + direct)]
@@ -159,7 +159,7 @@ def _impulses(made: Play) -> tuple[FloatArray, FloatArray]:
     return np.array([f for f, _ in out]), np.array([p for _, p in out])
 
 
-def _free(made: Play) -> FloatArray:
+def free_responses(made: Play) -> FloatArray:
     """Γ (W, p, n), columns scaled."""
     free = _impulses(made)[0]
     return np.asarray(free / np.sqrt((free**2).sum(axis=(0, 1))))

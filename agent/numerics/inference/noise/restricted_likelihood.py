@@ -97,9 +97,9 @@ class NoiseFit:
         self.refresh()
 
     def _fitted(self) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-        """S⁻¹ of the residual (kept, p), and S⁻¹ X M⁻¹ Xᵀ S⁻¹: its diagonal (kept, p), and whole (kept, p, p).
+        """S⁻¹ of the residual (kept, p), and S⁻¹ X M⁻¹ Xᵀ S⁻¹: its diagonal (kept, p) and whole (kept, p, p).
 
-        The whole of it is left empty where no intensity asks for it.
+        The whole of it is left empty where no source is there that asks for it.
         """
         nb, kept = self.layout.base, self.cells.kept
         V = inverse(self.G[:nb, :nb] + self.ridge())

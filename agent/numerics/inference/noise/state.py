@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.inference import tuning
+from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.sources import Source
 from agent.types import BoolArray, FloatArray, IntArray
 
@@ -112,17 +113,19 @@ class Noise:
     def firmness(self, there: IntArray, sources: tuple[Source, ...]) -> FloatArray:
         """Return the precision (t, t) of the variances of sources that are there, by windows before.
 
-        What is new may be as large as the largest of its origin.
+        They walk as σ does, in units of the largest of their origin; what is new may be as large as that.
         """
         variance = self.intensity[there] ** 2
         largest: dict[tuple[str, int], float] = {}
         for a, value in zip(there.tolist(), variance.tolist(), strict=True):
             largest[sources[a].origin] = max(value, largest.get(sources[a].origin, 0.0))
-        first = np.array([largest[sources[a].origin] ** -2.0 for a in there.tolist()])
-        if self.information is None:
-            return np.diag(first)
-        carried = tuning.FORGET * self.information[np.ix_(there, there)]
-        return np.asarray(carried + np.diag(np.where(np.diag(carried) > 0, 0.0, first)))
+        size = np.array([largest[sources[a].origin] for a in there.tolist()])
+        out = np.diag(size**-2.0)
+        if self.information is not None:
+            old = np.flatnonzero(np.diag(self.information)[there] > 0)
+            carried = inverse(self.information[np.ix_(there[old], there[old])])
+            out[np.ix_(old, old)] = inverse(carried + np.diag(4 * self.walk * size[old] ** 2))
+        return out
 
     @property
     def is_started(self) -> bool:

@@ -26,7 +26,6 @@ def to_text(known: Knowledge) -> str:
             "spread": _list(noise.spread), "windows": noise.windows, "turn": noise.turn,
             "walk": noise.walk, "counted": noise.counted,
             "information": None if noise.information is None else _list(noise.information),
-            "ends": None if noise.ends is None else _list(noise.ends),
         },
         "constants": {
             "names": [h.name for h in constants.hypotheses], "weight": _list(constants.weight),
@@ -53,7 +52,7 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
         array(n["nodes"]), array(n["log_weight"]), array(n["intensity"]), array(n["spread"]), n["windows"],
         n["turn"],
         n["walk"], n["counted"],
-        *(None if n.get(name) is None else array(n[name]) for name in ("information", "ends")),  # younger
+        None if n.get("information") is None else array(n["information"]),  # earlier programs did not keep it
     )  # fmt: skip
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
         return None

@@ -14,7 +14,7 @@ from agent.numerics.inference.spectral.algebra import inverse, refined, scales, 
 from agent.numerics.inference.spectral.bins import bins_of
 from agent.numerics.inference.spectral.columns import Layout, Regression, Regressor, Window
 from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of
-from agent.numerics.inference.spectral.ends import LEAST_VARIANCE, Ends
+from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source, directions
 from agent.numerics.inference.tuning import ALL_BINS, MOST_BINS
@@ -197,8 +197,9 @@ class Lineariser:
         G = cells.gram(Si, regression.X)
         G[-1, -1] += HighPower(response, regression.high, noise.levels).quadratic(Si)
         constants = known.constants
-        ends = Ends(response, self.sources, lasting, noise.ending).precision(noise.intensity)
-        ridge = self.ridge(regression.layout, window, constants.total, constants.expected - known.eta, ends)
+        ridge = self.ridge(
+            regression.layout, window, constants.total, constants.expected - known.eta, noise.intensity
+        )
         changes = int(np.count_nonzero(rows_with(np.diff(window.y, axis=0) != 0)))
         repeats = float(by_repeats(changes, self.window))
         return Linearised(theta, response.at.unit, regression, cells, G, Si, ridge, True, repeats)
@@ -260,15 +261,17 @@ class Lineariser:
         window: Window,
         P: FloatArray,
         mean: FloatArray,
-        ends: FloatArray | None = None,
+        intensity: FloatArray | None = None,
     ) -> Ridge:
-        """Return the base's prior: constants N(mean, P), lost readings, end effects of given precision."""
+        """Return the base's prior: constants N(mean, P), lost readings, end effects of given intensities."""
         R = np.diag(layout_free(layout))
         b = np.zeros(layout.base)
         if len(window.lost):
             R[layout.gaps, layout.gaps] = np.diag(1.0 / window.lost_sd**2)
-        if ends is not None:
-            R[layout.ends, layout.ends] = np.diag(ends)
+        if intensity is not None:
+            assert self._response is not None  # noqa: S101 - the layout is of its regression
+            ends = range(layout.ends.start, layout.ends.stop)
+            R[ends, ends] = Ends(self._response, self.sources, layout.lasting).precision(intensity)
         if len(mean):
             precision = inverse(P)
             R[layout.xi, layout.xi] = precision
@@ -338,10 +341,9 @@ class Lineariser:
     def _priors(self, at: Linearised, window: Window) -> list[FloatArray]:
         """Prior precisions of the base columns with constants as good as given, then at their data sheet."""
         sheet = np.array([max(c.sheet, 1e-6) for c in self.rig.constants])
-        layout = at.regression.layout
-        none = np.full(layout.ends.stop - layout.ends.start, 1 / LEAST_VARIANCE)
+        none = np.full(len(self.sources), 1e-150)
         spreads = [np.diag((share * sheet) ** 2) for share in (0.1 * tuning.AS_CONFIGURED, 1.0)]
-        return [self.ridge(layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
+        return [self.ridge(at.regression.layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
 
 
 def _sd_of(layout: Layout, gram: FloatArray, priors: list[FloatArray]) -> FloatArray:

@@ -182,8 +182,6 @@ FREE_BINS = 3  # bins of a rig with a free mass that do not count for where a fo
 LEAKAGE_ROUNDS = 4
 """Times that lines are looked for: beside a strong one weaker bins of its leakage stand out next."""
 PIVOTS = 100  # most rounds in which variances that would fall below 0 are found; it takes two or three
-ENDS_PRIOR = 4.0
-"""Windows that the prior of what a colour does at a window's ends counts for. Needed by: adhesive joint 004."""
 GROWTH = 8.0  # times the largest intensity's variance that a source's may be after a scoring step
 RESTING = 0.01  # step of log σ at which scoring rests
 

@@ -107,13 +107,9 @@ def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     if len(fit.there):
         information = np.zeros((len(fit.intensity),) * 2)
         information[np.ix_(fit.there, fit.there)] = fit.information
-    ends = np.zeros((2, len(fit.sources))) if noise.ends is None else tuning.FORGET * noise.ends
-    for a, seen in zip(fit.layout.lasting, fit.seen_ends.tolist(), strict=True):
-        if fit.sources[a].is_colour:
-            ends[:, a] += [seen / (2 * noise.intensity[a] ** 2), 1.0]
     return Noise(
         fit.log_sigma, fit.log_sigma_var, power, dof, noise.nodes, log_weight, fit.intensity, spread,
-        noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted, information, ends if ends.any() else None,
+        noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted, information,
     )  # fmt: skip
 
 

@@ -49,8 +49,7 @@ class NoiseFit:
         self.levels = noise.levels
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
-        self.seen_ends = np.zeros(len(self.layout.lasting))
-        self.ends = Ends(cells.response, sources, self.layout.lasting, noise.ending)
+        self.ends = Ends(cells.response, sources, self.layout.lasting)
         self.there = noise.there(sources)
         self.information = noise.firmness(self.there, sources)
         self._firm = self.information
@@ -105,8 +104,6 @@ class NoiseFit:
         nb, kept = self.layout.base, self.cells.kept
         V = inverse(self.G[:nb, :nb] + self.ridge())
         fit = V @ (self.G[:nb, nb] + self.b)
-        ends = slice(self.layout.n, self.layout.n + len(self.layout.lasting))
-        self.seen_ends = fit[ends] ** 2 + np.diag(V)[ends]
         Si = self.Si[:kept]
         residual = (Si @ (self.X[..., nb] - self.X[..., :nb] @ fit)[..., None])[..., 0]
         Y = Si @ self.X[..., :nb]

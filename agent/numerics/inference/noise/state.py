@@ -26,7 +26,6 @@ class Noise:
         walk: variance of the random walk of log σ from window to window; counted: windows behind it.
         information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten;
             0 for the others; None where there are none.
-        ends: (2, a) what colours of sensors did at the ends of windows, in 2 v², and how many windows showed it.
     """
 
     log_sigma: FloatArray
@@ -42,7 +41,6 @@ class Noise:
     walk: float = tuning.SIGMA_WALK**2
     counted: float = tuning.SIGMA_WALK_DOF
     information: FloatArray | None = None
-    ends: FloatArray | None = None
 
     @classmethod
     def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
@@ -90,17 +88,6 @@ class Noise:
     def is_other_than(self, before: "Noise") -> bool:
         """Whether there is more or less noise than before, as in `exceeds`."""
         return not before.is_started or self.exceeds(before) or before.exceeds(self)
-
-    @property
-    def ending(self) -> FloatArray:
-        """(a,) variance of what sources do at a window's ends, in 2 v².
-
-        A machine's model error that passes for coloured noise, but repeats with the window, has no ends.
-        """
-        if self.ends is None:
-            return np.ones(len(self.intensity))
-        prior = tuning.ENDS_PRIOR
-        return np.asarray((prior + self.ends[0]) / (prior + self.ends[1]))
 
     @property
     def loud(self) -> BoolArray:

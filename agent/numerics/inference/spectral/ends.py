@@ -14,16 +14,10 @@ LEAST_VARIANCE = 1e-300  # fixed by double precision
 
 
 class Ends:
-    """Prior precisions of the columns at `Layout.ends`: free masses', then those of lasting sources.
+    """Prior precisions of the columns at `Layout.ends`: free masses', then those of lasting sources."""
 
-    share (a,): of 2 v², the variance that each source's ends have.
-    """
-
-    def __init__(
-        self, response: Response, sources: tuple[Source, ...], lasting: tuple[int, ...], share: FloatArray
-    ) -> None:
+    def __init__(self, response: Response, sources: tuple[Source, ...], lasting: tuple[int, ...]) -> None:
         self.lasting = np.array(lasting, dtype=np.int64)
-        self._twice = 2 * share[self.lasting]
         at_rest = np.ones(1, dtype=complex)
         # (a, f) variance of a free mass's column by intensity²
         forces = response.H.shape[2]
@@ -38,7 +32,7 @@ class Ends:
     def precision(self, intensity: FloatArray) -> FloatArray:
         """Return prior precisions (..., f + lasting) at intensities (..., a)."""
         squared = intensity**2
-        variance = np.concatenate([squared @ self.gain, self._twice * squared[..., self.lasting]], axis=-1)
+        variance = np.concatenate([squared @ self.gain, 2 * squared[..., self.lasting]], axis=-1)
         return np.asarray(1.0 / np.maximum(variance, LEAST_VARIANCE))
 
     def moves(self, a: int) -> bool:

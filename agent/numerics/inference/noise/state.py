@@ -9,6 +9,8 @@ from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.sources import Source
 from agent.types import BoolArray, FloatArray, IntArray
 
+SHOWN_PERIODS = 0.5  # fixed by slow forces, whose corner is held to as much of a window
+
 
 @dataclass(frozen=True, slots=True)
 class Noise:
@@ -90,6 +92,14 @@ class Noise:
         return not before.is_started or self.exceeds(before) or before.exceeds(self)
 
     @property
+    def shows_colours(self) -> bool:
+        """Whether a window is long enough to show half a period of the slowest colour.
+
+        In shorter ones what a model lacks passes for colours, and forces with them.
+        """
+        return min(tuning.SENSOR_CORNERS) * 2 * (len(self.power) - 1) >= SHOWN_PERIODS
+
+    @property
     def loud(self) -> BoolArray:
         """(a,) sources that show beside the sensors' white noise."""
         least = tuning.ACTIVE_NODES * self.nodes[:, 0] if self.is_started else np.inf
@@ -97,14 +107,14 @@ class Noise:
 
     def lasting(self, sources: tuple[Source, ...]) -> tuple[int, ...]:
         """Return the sources whose work at a window's ends counts: slow forces, and colours that show."""
-        loud = self.loud
+        loud = self.loud & self.shows_colours
         return tuple(
             a for a, source in enumerate(sources) if source.is_slow_force or (source.is_colour and loud[a])
         )
 
     def there(self, sources: tuple[Source, ...]) -> IntArray:
         """Return the sources of forces and sensors of which one source is there for sure."""
-        if not self.is_started:
+        if not self.is_started or not self.shows_colours:
             return np.zeros(0, dtype=np.int64)
         sure = self.loud & (self.log_weight[:, 0] < -tuning.SURE)
         origins = {sources[a].origin for a in np.flatnonzero(sure)}

@@ -63,10 +63,10 @@ def there(learner: Learner, noise: DenseNoise) -> Knowledge:
 
 def test_noise_score_of_variances_is_the_slope_of_the_restricted_likelihood() -> None:
     rig = ChainRig()
-    learner = learner_of(rig, 120)
+    learner = learner_of(rig, SAMPLES)
     pole = next(s.pole for s in learner.sources if s.is_colour)
-    window = smooth(rig, np.random.default_rng(1), 120)
-    window = replace(window, y=window.y + SIGMA * np.random.default_rng(2).standard_normal((120, 2)))
+    window = smooth(rig, np.random.default_rng(1))
+    window = replace(window, y=window.y + SIGMA * np.random.default_rng(2).standard_normal((SAMPLES, 2)))
     colours = ((0, pole, 1e-4),)
     known = there(learner, DenseNoise(SIGMA, np.array([0.5, 0.0]), (), colours))
     quiet = knowledge(learner, DenseNoise(SIGMA, np.zeros(2)))

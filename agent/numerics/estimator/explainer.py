@@ -219,7 +219,7 @@ class Explainer:
         self.posterior = posterior
         self.schedule.done(newest)
         drifts = learnt.constants.drift_probability > tuning.DRIFT_FOLLOWED
-        if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise) or drifts:
+        if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise, self.learner.sources) or drifts:
             self.schedule.follow(newest)
         if not self._is_elsewhere(reading, i, posterior):
             return False

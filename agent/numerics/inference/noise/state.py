@@ -9,8 +9,6 @@ from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.sources import Source
 from agent.types import BoolArray, FloatArray, IntArray
 
-SHOWN_PERIODS = 0.5  # fixed by slow forces, whose corner is held to as much of a window
-
 
 @dataclass(frozen=True, slots=True)
 class Noise:
@@ -71,16 +69,24 @@ class Noise:
         """Variance of log σ, of the sensor known least, in the window to come."""
         return float(self.log_sigma_var.max()) + self.walk
 
-    def differs_from(self, before: "Noise") -> bool:
-        """Whether an intensity that is large moved by more than a share since an earlier window."""
+    def differs_from(self, before: "Noise", sources: tuple[Source, ...]) -> bool:
+        """Whether an intensity that is large moved by more than a share since an earlier window.
+
+        What is sought together trades among the colours of a force or sensor: there the whole counts.
+        """
         if not before.is_started:
             return True
         # what may as well be absent has a mean that moves by chance
         there = (before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]) & (
             before.log_weight[:, 0] < -tuning.SURE
         )
+        together = self.there(sources)
+        there[together] = False
         moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
-        return bool((moved > tuning.UNSETTLED).any())
+        now = by_origin(self.intensity**2, together, sources)
+        then = by_origin(before.intensity**2, together, sources)
+        wholes = [abs(np.log(now[origin] / then[origin])) / 2 for origin in now]
+        return bool((moved > tuning.UNSETTLED).any() or max(wholes, default=0.0) > tuning.UNSETTLED)
 
     def exceeds(self, before: "Noise") -> bool:
         """Whether the noise has grown: an intensity that doubled, or a sensor's sd a tenth larger."""
@@ -93,11 +99,11 @@ class Noise:
 
     @property
     def shows_colours(self) -> bool:
-        """Whether a window is long enough to show half a period of the slowest colour.
+        """Whether a window is long enough to show the slowest colour.
 
         In shorter ones what a model lacks passes for colours, and forces with them.
         """
-        return min(tuning.SENSOR_CORNERS) * 2 * (len(self.power) - 1) >= SHOWN_PERIODS
+        return min(tuning.SENSOR_CORNERS) * 2 * (len(self.power) - 1) >= tuning.SHOWN_PERIODS
 
     @property
     def loud(self) -> BoolArray:
@@ -123,13 +129,10 @@ class Noise:
     def firmness(self, there: IntArray, sources: tuple[Source, ...]) -> FloatArray:
         """Return the precision (t, t) of the variances of sources that are there, by windows before.
 
-        They walk as σ does, in units of the largest of their origin; what is new may be as large as that.
+        They walk as σ does, in units of the whole of their origin; what is new may be as large as that.
         """
-        variance = self.intensity[there] ** 2
-        largest: dict[tuple[str, int], float] = {}
-        for a, value in zip(there.tolist(), variance.tolist(), strict=True):
-            largest[sources[a].origin] = max(value, largest.get(sources[a].origin, 0.0))
-        size = np.array([largest[sources[a].origin] for a in there.tolist()])
+        whole = by_origin(self.intensity**2, there, sources)
+        size = np.array([whole[sources[a].origin] for a in there.tolist()])
         out = np.diag(size**-2.0)
         if self.information is not None:
             old = np.flatnonzero(np.diag(self.information)[there] > 0)
@@ -141,6 +144,16 @@ class Noise:
     def is_started(self) -> bool:
         """Whether the grids of intensities stand."""
         return bool(self.nodes.size)
+
+
+def by_origin(
+    variance: FloatArray, which: IntArray, sources: tuple[Source, ...]
+) -> dict[tuple[str, int], float]:
+    """Return the sum of variances (a,) of some sources, of each force and sensor."""
+    out: dict[tuple[str, int], float] = {}
+    for a in which.tolist():
+        out[sources[a].origin] = out.get(sources[a].origin, 0.0) + float(variance[a])
+    return out
 
 
 def chance(dof: FloatArray | float, unsure: float) -> FloatArray:

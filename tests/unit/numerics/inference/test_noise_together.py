@@ -17,7 +17,7 @@ from tests.unit.numerics.inference.frequency import knowledge, learner_of, linea
 from tests.unit.numerics.inference.test_window_dense import SIGMA, apart, both
 
 FloatArray = NDArray[np.float64]
-SAMPLES = 400
+SAMPLES = 600
 COLOUR = 4e-4
 FORCE_POLE = 0.97
 

@@ -86,7 +86,7 @@ def test_inference_window_is_dense_generalised_least_squares(name: str, forces: 
     ("kind", "which"), [("force", 0), ("force", 1), ("sensor", 0), ("sensor", 1), ("sensor", 2)]
 )
 def test_inference_colours_differ_from_dense_by_their_ends_only(kind: str, which: int) -> None:
-    rig, samples = ChainRig(), 260
+    rig, samples = ChainRig(), 520
     learner = learner_of(rig, samples)
     poles = [s.pole for s in learner.sources if s.kind == kind and s.pole > 0 and s.number == 0]
     pole = poles[which]

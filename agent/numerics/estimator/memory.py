@@ -25,8 +25,7 @@ def to_text(known: Knowledge) -> str:
             "log_weight": _list(noise.log_weight), "intensity": _list(noise.intensity),
             "spread": _list(noise.spread), "windows": noise.windows, "turn": noise.turn,
             "walk": noise.walk, "counted": noise.counted,
-            "information": None if noise.information is None else _list(noise.information),
-        },
+        } | ({} if noise.information is None else {"information": _list(noise.information)}),
         "constants": {
             "names": [h.name for h in constants.hypotheses], "weight": _list(constants.weight),
             "mean": _list(constants.mean), "covariance": _list(constants.covariance),

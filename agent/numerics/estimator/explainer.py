@@ -219,7 +219,8 @@ class Explainer:
         self.posterior = posterior
         self.schedule.done(newest)
         drifts = learnt.constants.drift_probability > tuning.DRIFT_FOLLOWED
-        if reading.excess[i] < -tuning.MISMATCH_SD or learnt.noise.differs_from(known.noise) or drifts:
+        other = learnt.noise.differs_from(known.noise, self.learner.sources)
+        if reading.excess[i] < -tuning.MISMATCH_SD or other or drifts:
             self.schedule.follow(newest)
         if not self._is_elsewhere(reading, i, posterior):
             return False

@@ -25,7 +25,7 @@ def to_text(known: Knowledge) -> str:
             "log_weight": _list(noise.log_weight), "intensity": _list(noise.intensity),
             "spread": _list(noise.spread), "windows": noise.windows, "turn": noise.turn,
             "walk": noise.walk, "counted": noise.counted,
-        },
+        } | ({} if noise.information is None else {"information": _list(noise.information)}),
         "constants": {
             "names": [h.name for h in constants.hypotheses], "weight": _list(constants.weight),
             "mean": _list(constants.mean), "covariance": _list(constants.covariance),
@@ -51,6 +51,7 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
         array(n["nodes"]), array(n["log_weight"]), array(n["intensity"]), array(n["spread"]), n["windows"],
         n["turn"],
         n["walk"], n["counted"],
+        None if n.get("information") is None else array(n["information"]),  # earlier programs did not keep it
     )  # fmt: skip
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
         return None

@@ -162,7 +162,7 @@ class Lineariser:
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
             response = self._at(moved, known, known.kept)
-            regressor = Regressor(self.rig, response, self.sources, known.eta)
+            regressor = Regressor(self.rig, response, self.sources, known.eta, at.regression.layout.lasting)
             no_cuts = np.zeros(0, dtype=np.int64)
             trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), no_cuts, whole=False)
             if self._cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
@@ -186,7 +186,8 @@ class Lineariser:
         """Return the window at theta (q,), with columns of jumps at `cuts`."""
         self.evaluations += 1
         response = self._at(theta, known, known.kept)
-        regressor = Regressor(self.rig, response, self.sources, known.eta)
+        lasting = known.noise.lasting(self.sources)
+        regressor = Regressor(self.rig, response, self.sources, known.eta, lasting)
         cells = self._sources_at(response, regressor.output_gain)
         noise = known.noise
         S = cells.covariance(noise.log_sigma, noise.levels, noise.intensity)
@@ -270,7 +271,7 @@ class Lineariser:
         if intensity is not None:
             assert self._response is not None  # noqa: S101 - the layout is of its regression
             ends = range(layout.ends.start, layout.ends.stop)
-            R[ends, ends] = Ends(self._response, self.sources).precision(intensity)
+            R[ends, ends] = Ends(self._response, self.sources, layout.lasting).precision(intensity)
         if len(mean):
             precision = inverse(P)
             R[layout.xi, layout.xi] = precision

@@ -183,6 +183,11 @@ FAR_GROWTH = 1e6
 FREE_BINS = 3  # bins of a rig with a free mass that do not count for where a force shows
 LEAKAGE_ROUNDS = 4
 """Times that lines are looked for: beside a strong one weaker bins of its leakage stand out next."""
+SHOWN_PERIODS = 1.0
+"""Periods of the slowest colour that a window must hold for colours to be sought together, and to have ends.
+Needed by: adhesive joint 004 and MR damper, whose model error passes for colours in shorter windows."""
+PIVOTS = 100  # most rounds in which variances that would fall below 0 are found; it takes two or three
+GROWTH = 8.0  # times the largest intensity's variance that a source's may be after a scoring step
 RESTING = 0.01  # step of log σ at which scoring rests
 
 # spectral/algebra, response

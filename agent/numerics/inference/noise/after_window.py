@@ -91,7 +91,9 @@ def _order(noise: Noise) -> IntArray:
 
 def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     keep = tuning.FORGET
-    spread, log_weight = noise.spread.copy(), noise.log_weight.copy()
+    # of a sensor's colours only those that are there count
+    spread = noise.spread * np.array([source.kind == "force" for source in fit.sources], dtype=float)[:, None]
+    log_weight = noise.log_weight.copy()
     for a, value in scan.spread.items():
         spread[a] = value
     for a, logs in scan.log_weight.items():
@@ -101,9 +103,13 @@ def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     power = np.where(seen, prior + keep * (noise.power - prior) + fit.seen_power, noise.power)
     dof = np.where(seen, prior + keep * (noise.dof - prior) + fit.seen_dof, noise.dof)
     walk, counted = _walk_after(noise, fit)
+    information = None
+    if len(fit.there):
+        information = np.zeros((len(fit.intensity),) * 2)
+        information[np.ix_(fit.there, fit.there)] = fit.information
     return Noise(
         fit.log_sigma, fit.log_sigma_var, power, dof, noise.nodes, log_weight, fit.intensity, spread,
-        noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted,
+        noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted, information,
     )  # fmt: skip
 
 

@@ -21,6 +21,8 @@ def scanned(
     scan = Scan(fit, carried, nodes, every, pred)
     for a in order:
         scan.axis(int(a))
+    if pred is not None and len(fit.there):
+        scan.spread |= dict.fromkeys(fit.there.tolist(), fit.unsure(pred) / len(fit.there))
     return scan
 
 
@@ -65,8 +67,9 @@ class Scan:
         weight = np.exp(self.log_weight[a][lo:hi] + PRIOR_LOG[lo:hi])
         weight /= weight.sum()
         before = fit.intensity[a]
-        fit.intensity[a] = float(weight @ self.nodes[a, lo:hi])
-        if self.pred is not None and fit.sources[a].kind == "force":
+        if a not in fit.there:  # else what all sources have in common decided
+            fit.intensity[a] = float(weight @ self.nodes[a, lo:hi])
+        if self.pred is not None and fit.sources[a].kind == "force" and a not in fit.there:
             self.spread[a] = self._spread(a, self.nodes[a, lo:hi], weight, grams, ends)
         self._move((fit.intensity[a] ** 2 - before**2) * shape)
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.spectral.algebra import inverse, log_determinant
 from agent.numerics.inference.spectral.columns import Layout, Regression
@@ -31,6 +32,10 @@ class NoiseFit:
         regression: the window.
         sources: whose intensities are sought.
         ridge: prior of the columns with the constants wide; its end-effect entries are set here.
+
+    Attributes:
+        there: (t,) sources whose variances are sought together with σ;  information: (t, t) of these, this
+            window's in it once it was scored.
     """
 
     def __init__(
@@ -44,7 +49,12 @@ class NoiseFit:
         self.levels = noise.levels
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
-        self.ends = Ends(cells.response, sources)
+        self.ends = Ends(cells.response, sources, self.layout.lasting)
+        self.there = noise.there(sources)
+        self.information = noise.firmness(self.there, sources)
+        self._firm = self.information
+        self._carried = noise.intensity[self.there] ** 2
+        self._least = noise.nodes[self.there, :1].ravel() ** 2
 
     # ------------------------------------------------------------------ S, S⁻¹ and the Gram at today's values
     def refresh(self) -> None:
@@ -77,29 +87,42 @@ class NoiseFit:
         """Fisher scoring of log σ by REML with a Gaussian prior, and EM of the bins' levels."""
         for _ in range(steps):
             self.refresh()
-            residual, leverage = self._fitted()
+            residual, leverage, whole = self._fitted()
             before = self.log_sigma
-            self._score_step(residual, leverage, prior_mean, prior_var)
+            self._score_step(residual, leverage, whole, prior_mean, prior_var)
             if self.sources:
                 self._level_step(residual, leverage, carried)
             if np.abs(self.log_sigma - before).max() < RESTING:
                 break
         self.refresh()
 
-    def _fitted(self) -> tuple[ComplexArray, FloatArray]:
-        """S⁻¹ of the residual (kept, p), and diag S⁻¹ X M⁻¹ Xᵀ S⁻¹ (kept, p)."""
+    def _fitted(self) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+        """S⁻¹ of the residual (kept, p), and S⁻¹ X M⁻¹ Xᵀ S⁻¹: its diagonal (kept, p) and whole (kept, p, p).
+
+        The whole of it is left empty where no source is there that asks for it.
+        """
         nb, kept = self.layout.base, self.cells.kept
         V = inverse(self.G[:nb, :nb] + self.ridge())
         fit = V @ (self.G[:nb, nb] + self.b)
         Si = self.Si[:kept]
         residual = (Si @ (self.X[..., nb] - self.X[..., :nb] @ fit)[..., None])[..., 0]
-        Y = (Si @ self.X[..., :nb]).reshape(-1, nb)
+        Y = Si @ self.X[..., :nb]
+        if len(self.there):
+            whole = (Y.reshape(-1, nb) @ V).reshape(Y.shape) @ Y.conj().transpose(0, 2, 1)
+            return residual, np.einsum("kcc->kc", whole).real, whole
+        Y = Y.reshape(-1, nb)
         leverage = ((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)
-        return residual, leverage.reshape(kept, -1)
+        return residual, leverage.reshape(kept, -1), np.zeros((0, 0, 0), dtype=complex)
 
     def _score_step(
-        self, residual: ComplexArray, leverage: FloatArray, prior_mean: FloatArray, prior_var: FloatArray
+        self,
+        residual: ComplexArray,
+        leverage: FloatArray,
+        whole: ComplexArray,
+        prior_mean: FloatArray,
+        prior_var: FloatArray,
     ) -> None:
+        """One step of log σ, and with it of the intensities that are there: what one gives up others take."""
         kept, cells = self.cells.kept, self.cells
         variance = np.exp(2 * self.log_sigma)
         levels = cells.cell_levels(self.levels)
@@ -111,9 +134,60 @@ class NoiseFit:
         score = variance * (quad - (B * diagonal).sum(axis=0) + (B[:kept] * leverage).sum(axis=0))
         F = 2 * np.einsum("kc,kcd,kd->cd", B, np.abs(self.Si) ** 2, levels) * np.outer(variance, variance)
         H = F + np.diag(1.0 / prior_var)
-        step = np.linalg.solve(H, score - (self.log_sigma - prior_mean) / prior_var)
-        self.log_sigma = self.log_sigma + np.clip(step, -1.0, 1.0)
-        self.log_sigma_var = np.diag(np.linalg.inv(H)).copy()
+        g = score - (self.log_sigma - prior_mean) / prior_var
+        if not len(self.there):
+            self.log_sigma = self.log_sigma + np.clip(np.linalg.solve(H, g), -1.0, 1.0)
+            self.log_sigma_var = np.diag(np.linalg.inv(H)).copy()
+            return
+        p = len(variance)
+        more, cross, own = self._intensities(residual, whole, B)
+        cross = cross * variance[:, None]
+        now = self.intensity[self.there] ** 2
+        H = np.block([[H, cross], [cross.T, own + self._firm]])
+        g = np.concatenate([g, more - self._firm @ (now - self._carried)])
+        step = bounded(H, g, np.concatenate([np.full(p, -1.0), self._least - now]))
+        self.log_sigma = self.log_sigma + np.minimum(step[:p], 1.0)
+        self.intensity[self.there] = np.sqrt(np.minimum(now + step[p:], tuning.GROWTH * now.max()))
+        self.log_sigma_var = np.diag(np.linalg.inv(H))[:p].copy()
+        self.information = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
+
+    def _intensities(
+        self, residual: ComplexArray, whole: ComplexArray, B: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Score (t,) of the variances of sources there, their information with σ² (p, t) and each other."""
+        kept, there = self.cells.kept, self.there
+        d, spectra, weight = self.cells.D[:, :, there], self.cells.spectra[there], self.cells.weight
+        Sd = self.Si @ d
+        low, high = d[:kept].conj().transpose(0, 2, 1), Sd[kept:].conj().transpose(0, 2, 1)
+        between = d.conj().transpose(0, 2, 1) @ Sd
+        shown = np.abs((low @ residual[..., None])[..., 0]) ** 2
+        shown += np.einsum("ktc,kcd,kdt->kt", low, whole, d[:kept], optimize=True).real
+        shown -= np.einsum("ktt->kt", between[:kept]).real
+        above = np.einsum("ktt->kt", high @ self.high.R @ Sd[kept:]).real
+        above -= weight[kept:, None] * np.einsum("ktt->kt", between[kept:]).real
+        score = 0.5 * (np.einsum("k,tk,kt->t", weight[:kept], spectra[:, :kept], shown))
+        score += 0.5 * np.einsum("tk,kt->t", spectra[:, kept:], above)
+        cross = np.einsum("kc,kct,tk->ct", B, np.abs(Sd) ** 2, spectra)
+        own = 0.5 * np.einsum("tk,ktu,uk->tu", weight * spectra, np.abs(between) ** 2, spectra, optimize=True)
+        return score, cross, own
+
+    def unsure(self, pred: Ridge) -> FloatArray:
+        """Return the relative variance (q,) that not knowing the variances there adds to the parameters.
+
+        A variance that is too large is so as often as too small; what it adds is how it moves the estimates.
+        pred: prior of the columns with the constants as known.
+        """
+        kept, nb, there, psi = self.cells.kept, self.layout.base, self.there, self.layout.psi
+        M = self.G[:nb, :nb] + pred.R
+        ends = range(self.layout.ends.start, self.layout.ends.stop)
+        M[ends, ends] = self.G[ends, ends] + self.ends.precision(self.intensity)
+        V = inverse(M)
+        fit = V @ (self.G[:nb, nb] + pred.b)
+        shown = (self.Si[:kept] @ self.cells.D[:kept][:, :, there]).conj().transpose(0, 2, 1) @ self.X
+        left = shown[..., nb] - shown[..., :nb] @ fit
+        weight = (self.cells.weight * self.cells.spectra[there])[:, :kept]
+        moved = V[psi] @ np.einsum("tk,ktb,kt->bt", weight, shown[..., :nb].conj(), left).real
+        return np.asarray(np.einsum("qt,tu,qu->q", moved, inverse(self.information), moved) / np.diag(V)[psi])
 
     def _level_step(self, residual: ComplexArray, leverage: FloatArray, carried: Noise) -> None:
         """Expected noise power a bin given the data (EM), added to what was carried."""
@@ -201,3 +275,25 @@ def layout_free(layout: Layout) -> FloatArray:
     free = np.zeros(layout.base)
     free[layout.psi] = 1e-6
     return free
+
+
+def bounded(H: FloatArray, g: FloatArray, least: FloatArray) -> FloatArray:
+    """Return x (k,) of the least ½ xᵀ H x − gᵀ x with x >= least, by principal pivoting.
+
+    What violates its condition changes sides, all at once; after some rounds the last one alone, which ends
+    (Júdice & Pires, Computers & Operations Research 21 (1994) 587).
+    """
+    d = 1.0 / np.sqrt(np.diag(H))
+    H, g, least = H * np.outer(d, d), g * d, least / d
+    x = least.copy()
+    free = np.ones(len(g), dtype=bool)
+    for turn in range(tuning.PIVOTS):
+        x[~free] = least[~free]
+        x[free] = np.linalg.solve(H[np.ix_(free, free)], g[free] - H[np.ix_(free, ~free)] @ x[~free])
+        wrong = np.where(free, x < least, H @ x < g)
+        if not wrong.any():
+            break
+        if turn >= len(g):
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        free ^= wrong
+    return np.asarray(np.maximum(x, least) * d)

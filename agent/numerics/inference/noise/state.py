@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.types import FloatArray
+from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.sources import Source
+from agent.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +24,8 @@ class Noise:
         spread: (a, q) relative variance that the uncertainty of each intensity adds to each parameter.
         windows: windows learnt; turn: whose turn it is in the rotation.
         walk: variance of the random walk of log σ from window to window; counted: windows behind it.
+        information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten;
+            0 for the others; None where there are none.
     """
 
     log_sigma: FloatArray
@@ -36,6 +40,7 @@ class Noise:
     turn: int = 0
     walk: float = tuning.SIGMA_WALK**2
     counted: float = tuning.SIGMA_WALK_DOF
+    information: FloatArray | None = None
 
     @classmethod
     def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
@@ -64,16 +69,24 @@ class Noise:
         """Variance of log σ, of the sensor known least, in the window to come."""
         return float(self.log_sigma_var.max()) + self.walk
 
-    def differs_from(self, before: "Noise") -> bool:
-        """Whether an intensity that is large moved by more than a share since an earlier window."""
+    def differs_from(self, before: "Noise", sources: tuple[Source, ...]) -> bool:
+        """Whether an intensity that is large moved by more than a share since an earlier window.
+
+        What is sought together trades among the colours of a force or sensor: there the whole counts.
+        """
         if not before.is_started:
             return True
         # what may as well be absent has a mean that moves by chance
         there = (before.intensity > tuning.LARGE_NODES * before.nodes[:, 0]) & (
             before.log_weight[:, 0] < -tuning.SURE
         )
+        together = self.there(sources)
+        there[together] = False
         moved = np.abs(np.log(self.intensity[there] / before.intensity[there]))
-        return bool((moved > tuning.UNSETTLED).any())
+        now = by_origin(self.intensity**2, together, sources)
+        then = by_origin(before.intensity**2, together, sources)
+        wholes = [abs(np.log(now[origin] / then[origin])) / 2 for origin in now]
+        return bool((moved > tuning.UNSETTLED).any() or max(wholes, default=0.0) > tuning.UNSETTLED)
 
     def exceeds(self, before: "Noise") -> bool:
         """Whether the noise has grown: an intensity that doubled, or a sensor's sd a tenth larger."""
@@ -85,9 +98,62 @@ class Noise:
         return not before.is_started or self.exceeds(before) or before.exceeds(self)
 
     @property
+    def shows_colours(self) -> bool:
+        """Whether a window is long enough to show the slowest colour.
+
+        In shorter ones what a model lacks passes for colours, and forces with them.
+        """
+        return min(tuning.SENSOR_CORNERS) * 2 * (len(self.power) - 1) >= tuning.SHOWN_PERIODS
+
+    @property
+    def loud(self) -> BoolArray:
+        """(a,) sources that show beside the sensors' white noise."""
+        least = tuning.ACTIVE_NODES * self.nodes[:, 0] if self.is_started else np.inf
+        return np.asarray(self.intensity > least)
+
+    def lasting(self, sources: tuple[Source, ...]) -> tuple[int, ...]:
+        """Return the sources whose work at a window's ends counts: slow forces, and colours that show."""
+        loud = self.loud & self.shows_colours
+        return tuple(
+            a for a, source in enumerate(sources) if source.is_slow_force or (source.is_colour and loud[a])
+        )
+
+    def there(self, sources: tuple[Source, ...]) -> IntArray:
+        """Return the sources of forces and sensors of which one source is there for sure."""
+        if not self.is_started or not self.shows_colours:
+            return np.zeros(0, dtype=np.int64)
+        sure = self.loud & (self.log_weight[:, 0] < -tuning.SURE)
+        origins = {sources[a].origin for a in np.flatnonzero(sure)}
+        return np.array([a for a, source in enumerate(sources) if source.origin in origins], dtype=np.int64)
+
+    def firmness(self, there: IntArray, sources: tuple[Source, ...]) -> FloatArray:
+        """Return the precision (t, t) of the variances of sources that are there, by windows before.
+
+        They walk as σ does, in units of the whole of their origin; what is new may be as large as that.
+        """
+        whole = by_origin(self.intensity**2, there, sources)
+        size = np.array([whole[sources[a].origin] for a in there.tolist()])
+        out = np.diag(size**-2.0)
+        if self.information is not None:
+            old = np.flatnonzero(np.diag(self.information)[there] > 0)
+            carried = inverse(self.information[np.ix_(there[old], there[old])])
+            out[np.ix_(old, old)] = inverse(carried + np.diag(4 * self.walk * size[old] ** 2))
+        return out
+
+    @property
     def is_started(self) -> bool:
         """Whether the grids of intensities stand."""
         return bool(self.nodes.size)
+
+
+def by_origin(
+    variance: FloatArray, which: IntArray, sources: tuple[Source, ...]
+) -> dict[tuple[str, int], float]:
+    """Return the sum of variances (a,) of some sources, of each force and sensor."""
+    out: dict[tuple[str, int], float] = {}
+    for a in which.tolist():
+        out[sources[a].origin] = out.get(sources[a].origin, 0.0) + float(variance[a])
+    return out
 
 
 def chance(dof: FloatArray | float, unsure: float) -> FloatArray:

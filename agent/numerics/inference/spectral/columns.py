@@ -70,14 +70,14 @@ class Layout:
     """Where the columns of each kind stand.
 
     Attributes:
-        n: initial states, the last `free` of them momenta of free masses; slow: end effects; lost: lost
-            readings;
+        n: initial states, the last `free` of them momenta of free masses; lasting: sources with an end
+            effect; lost: lost readings;
         q: parameters; constants: of the rig; cuts: jumps.
     """
 
     n: int
     free: int
-    slow: int
+    lasting: tuple[int, ...]
     lost: int
     q: int
     constants: int
@@ -86,22 +86,23 @@ class Layout:
     @property
     def base(self) -> int:
         """Columns without the jumps and the residual."""
-        return self.n + self.slow + self.lost + self.q + self.constants
+        return self.n + len(self.lasting) + self.lost + self.q + self.constants
 
     @property
     def nuisance(self) -> slice:
         """Everything before the parameters."""
-        return slice(0, self.n + self.slow + self.lost)
+        return slice(0, self.n + len(self.lasting) + self.lost)
 
     @property
     def ends(self) -> slice:
-        """What unknown forces do at the window's ends."""
-        return slice(self.n - self.free, self.n + self.slow)
+        """What unknown forces and coloured noise do at the window's ends."""
+        return slice(self.n - self.free, self.n + len(self.lasting))
 
     @property
     def gaps(self) -> slice:
         """The lost readings."""
-        return slice(self.n + self.slow, self.n + self.slow + self.lost)
+        start = self.n + len(self.lasting)
+        return slice(start, start + self.lost)
 
     @property
     def psi(self) -> slice:
@@ -152,11 +153,19 @@ class Regressor:
         rig, response, sources: what is modelled.
         eta: (c,) deviations of the constants at which the model stands; masses and the delay are in the
             response already.
+        lasting: numbers of the sources that get a column for the window's ends.
     """
 
-    def __init__(self, rig: Rig, response: Response, sources: tuple[Source, ...], eta: FloatArray) -> None:
-        self.rig, self.response = rig, response
-        self.slow = tuple(s for s in sources if s.is_slow_force)
+    def __init__(
+        self,
+        rig: Rig,
+        response: Response,
+        sources: tuple[Source, ...],
+        eta: FloatArray,
+        lasting: tuple[int, ...] = (),
+    ) -> None:
+        self.rig, self.response, self.lasting = rig, response, lasting
+        self._ending = [sources[a] for a in lasting]
         p = len(response.at.C)
         m = response.at.B.shape[1]
         self.output_gain, self.input_gain = np.ones(p), np.ones(m)
@@ -180,7 +189,7 @@ class Regressor:
         """Return where the columns stand."""
         rig = self.rig
         free, constants = len(self.response.left), len(rig.constants)
-        return Layout(self.response.at.n, free, len(self.slow), len(window.lost), rig.q, constants, cuts)
+        return Layout(self.response.at.n, free, self.lasting, len(window.lost), rig.q, constants, cuts)
 
     def build(
         self,
@@ -268,7 +277,7 @@ class Regressor:
     def _ends(self) -> ComplexArray:
         kept = self.response.bins.kept
         p = len(self.output_gain)
-        columns = [end_effect(self.response, source, kept) * self.output_gain for source in self.slow]
+        columns = [end_effect(self.response, source, kept, self.output_gain) for source in self._ending]
         return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)
 
     def _lost(self, window: Window) -> ComplexArray:

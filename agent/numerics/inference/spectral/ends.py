@@ -1,7 +1,7 @@
-"""What unknown forces do at a window's ends: columns whose prior variance is that of the forces.
+"""What unknown forces and coloured noise do at a window's ends: columns whose prior variance is theirs.
 
-A slow force differs from its periodic likeness by the response to a^k, of variance 2 v²; the mean of any
-force moves a free mass's momentum, of variance Σ (w E_j)² v² |P(1)|².
+A slow force, or a sensor's noise that remembers itself, differs from its periodic likeness by the response to
+a^k, of variance 2 v²; the mean of any force moves a free mass's momentum, of variance Σ (w E_j)² v² |P(1)|².
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ LEAST_VARIANCE = 1e-300  # fixed by double precision
 
 
 class Ends:
-    """Prior precisions of the columns at `Layout.ends`: free masses', then those of slow forces."""
+    """Prior precisions of the columns at `Layout.ends`: free masses', then those of lasting sources."""
 
-    def __init__(self, response: Response, sources: tuple[Source, ...]) -> None:
-        self.slow = np.array([a for a, source in enumerate(sources) if source.is_slow_force], dtype=np.int64)
+    def __init__(self, response: Response, sources: tuple[Source, ...], lasting: tuple[int, ...]) -> None:
+        self.lasting = np.array(lasting, dtype=np.int64)
         at_rest = np.ones(1, dtype=complex)
         # (a, f) variance of a free mass's column by intensity²
         forces = response.H.shape[2]
@@ -30,11 +30,11 @@ class Ends:
         self.gain = response.drift_variance(power)
 
     def precision(self, intensity: FloatArray) -> FloatArray:
-        """Return prior precisions (..., f + slow) at intensities (..., a)."""
+        """Return prior precisions (..., f + lasting) at intensities (..., a)."""
         squared = intensity**2
-        variance = np.concatenate([squared @ self.gain, 2 * squared[..., self.slow]], axis=-1)
+        variance = np.concatenate([squared @ self.gain, 2 * squared[..., self.lasting]], axis=-1)
         return np.asarray(1.0 / np.maximum(variance, LEAST_VARIANCE))
 
     def moves(self, a: int) -> bool:
         """Whether source a has a column here."""
-        return bool(a in self.slow or self.gain[a].any())
+        return bool(a in self.lasting or self.gain[a].any())

@@ -36,6 +36,16 @@ class Source:
         """Whether it is a force that lasts beyond the window's ends."""
         return self.kind == "force" and self.pole > 0
 
+    @property
+    def origin(self) -> tuple[str, int]:
+        """The force or sensor, whatever the colour."""
+        return self.kind, self.number
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether it is a sensor's noise that remembers itself."""
+        return self.kind == "sensor" and self.pole > 0
+
     def spectrum(self, z: ComplexArray) -> FloatArray:
         """Return |P(z)|², of mean 1 over all frequencies."""
         a = self.pole
@@ -77,8 +87,15 @@ def directions(response: Response, sources: tuple[Source, ...], output_gain: Flo
     return out
 
 
-def end_effect(response: Response, source: Source, kept: int) -> ComplexArray:
-    """Return τ (kept, p): the response to a^k, by which a slow force differs from its periodic likeness."""
+def end_effect(response: Response, source: Source, kept: int, output_gain: FloatArray) -> ComplexArray:
+    """Return τ (kept, p): what a^k shows, by which lasting noise differs from its periodic likeness.
+
+    output_gain (p,): a force is seen through it, a sensor's own noise is not.
+    """
     z, W, a = response.z[:kept], response.bins.window, source.pole
     decay = (1 - a**W) / (1 - a / z) / np.sqrt(W)
-    return response.pushed(source.number, decay)
+    if source.kind == "force":
+        return np.asarray(response.pushed(source.number, decay) * output_gain)
+    own = np.zeros((kept, len(output_gain)), dtype=complex)
+    own[:, source.number] = decay
+    return own

@@ -414,7 +414,7 @@ def case(seed: int, kinds: tuple[str, ...]) -> Case:
     driven = bool(DRIVEN.intersection(kinds))
     for own in _seeds(seed):
         made = rig(own, driven)
-        if "hum" not in kinds or made.rate_hz > 2.5 * HUM_HZ:
+        if _is_seen(made) and ("hum" not in kinds or made.rate_hz > 2.5 * HUM_HZ):
             break
     rng = np.random.default_rng([seed, 72])
     known = FAULTS | DRAWN
@@ -423,6 +423,15 @@ def case(seed: int, kinds: tuple[str, ...]) -> Case:
     config |= {key: value for fault in faults for key, value in fault.config.items()}
     right = frozenset().union(*(fault.right for fault in faults))
     return Case(made, tuple(change for fault in faults for change in fault.changes), config, right)
+
+
+def _is_seen(made: Network) -> bool:
+    """Whether every mass is measured, or held to one that is, not only to the ground: others are refused."""
+    seen = {f"m{number + 1}" for _, number in made.sensors}
+    ends = [set(pair) for pair in (*made.spring_ends, *made.damper_ends) if "ground" not in pair]
+    for _ in made.masses:
+        seen |= {name for pair in ends if pair & seen for name in pair}
+    return len(seen) == len(made.masses)
 
 
 def _seeds(seed: int) -> Iterator[int]:

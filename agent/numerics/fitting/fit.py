@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.fitting.tuning import FARTHEST, GREATEST, HALVINGS, PUSHED_STEPS
-from agent.numerics.fitting.work import WORK
+from agent.numerics.fitting.tuning import EVALUATION, FARTHEST, GREATEST, HALVINGS, PUSHED_STEPS
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import Bins
 from agent.numerics.inference.spectral.columns import Regressor, Window
@@ -118,6 +117,21 @@ class _Point:
     covariance: FloatArray
     cost: float
     left: FloatArray
+
+
+@dataclass(slots=True)
+class Work:
+    """Work done so far in this process, in samples of normal work; its growth is what was done meanwhile."""
+
+    done: int = 0
+
+    def evaluate(self, samples: int) -> None:
+        """Count an evaluation of observer and sensitivities over a window of so many samples."""
+        self.done += EVALUATION + samples
+
+
+WORK = Work()
+"""Global, so that what counts it need not be handed through every fit."""
 
 
 def fit_window(

@@ -12,9 +12,8 @@ from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windo
 from agent.blocks.statistical_rig import estimator_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
-from agent.numerics.estimator.schedule import budget_of
+from agent.numerics.estimator.schedule import Budget, budget_of
 from agent.numerics.estimator.sliding import SlidingEstimator
-from agent.numerics.fitting.work import Budget
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
 from agent.numerics.window.filtering.hops import HopPlan

@@ -4,8 +4,8 @@ import cvxpy
 import numpy as np
 import pytest
 
-from agent.numerics.excitation.design import excess, optimal
-from agent.numerics.excitation.multisine import crest, multisine, schroeder, signal
+from agent.commissioning.numerics.design import excess, optimal
+from agent.commissioning.numerics.multisine import crest, multisine, schroeder, signal
 
 
 def lines(seed: int, count: int = 60, q: int = 4) -> np.ndarray:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.excitation.design import responses
-from agent.numerics.identification import tuning
+from agent.commissioning import tuning
+from agent.commissioning.numerics.design import responses
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.numerics.model.statespace import Discrete, Hold, discretise
 from agent.types import BoolArray, ComplexArray, FloatArray
@@ -58,7 +58,8 @@ def refined(
     Bins are those below `fastest`, rad/s.
     """
     longest = sorted(pieces, key=lambda piece: -len(piece[0]))[: tuning.MOST_PIECES]
-    chosen = [_piece(y[: tuning.LONGEST], u[: tuning.LONGEST], period_s, sigma, fastest) for y, u in longest]
+    part = slice(0, tuning.LONGEST_PIECE)
+    chosen = [_piece(y[part], u[part], period_s, sigma, fastest) for y, u in longest]
     fitting = _Fitting(model, chosen, period_s, hold)
     nearer = sorted(
         (fitting.fitted(np.log(theta), tuning.FIRST_STEPS) for theta in starts), key=lambda way: way[0]
@@ -74,7 +75,7 @@ def others_near(minima: Sequence[Minimum], telling: BoolArray) -> list[Minimum]:
     return [
         found
         for found in minima[1:]
-        if found.cost < first.cost + tuning.NEAR
+        if found.cost < first.cost + tuning.NEAR_POWER
         and np.abs(np.log(found.theta / first.theta))[telling].max(initial=0.0) > tuning.ALIKE
     ]
 
@@ -117,9 +118,9 @@ class _Fitting:
     def _at(self, phi: FloatArray, begun: FloatArray) -> _Fit:
         discrete = discretise(self.model.continuous(np.exp(phi)), self.period_s, self.hold)
         q = len(phi)
-        off = (phi - begun) / tuning.VAGUE**2
+        off = (phi - begun) / tuning.VAGUE_LOG**2
         # what no bin shows stays where it began, not at nothing or beyond all bounds
-        A = np.eye(q) / tuning.VAGUE**2
+        A = np.eye(q) / tuning.VAGUE_LOG**2
         g = off
         cost = float(off @ (phi - begun))
         for piece in self.pieces:

@@ -3,9 +3,9 @@ signs."""
 
 import numpy as np
 
-from agent.numerics.identification.pooled import Costs
-from agent.numerics.identification.selection import Selector
-from agent.numerics.identification.tuning import TIE
+from agent.commissioning.numerics.motion.pooled import Costs
+from agent.commissioning.numerics.motion.selection import Selector
+from agent.commissioning.tuning import TIE
 from agent.types import FloatArray
 
 WINDOWS, PARAMETERS = 12, 8

@@ -7,7 +7,7 @@ and Renneboog 1988, IEEE Trans. Instrumentation and Measurement 37:145).
 
 import numpy as np
 
-from agent.numerics.excitation.tuning import CLIPPED, PASSES
+from agent.commissioning.tuning import CLIPPED, PASSES
 from agent.types import FloatArray, IntArray
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.numerics.identification.exact_response import refined
-from agent.numerics.identification.response import fitted, measured
+from agent.commissioning.numerics.motion.exact_response import refined
+from agent.commissioning.numerics.motion.response import fitted, measured
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Quantity, Structure
 from tests.statistical.unknown_machines import LETTERS, Sensors, machine, name, recorded
 

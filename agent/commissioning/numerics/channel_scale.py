@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agent.numerics.fitting.tuning import LEAST_SCALE, MOST_SCALE
+from agent.commissioning.tuning import LEAST_SCALE, MOST_SCALE
 from agent.numerics.model.statespace import Discrete, simulate
 from agent.types import FloatArray
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.identification import tuning
-from agent.numerics.identification.first_noise import Progress, first_noise
+from agent.commissioning import tuning
+from agent.commissioning.numerics.motion.first_noise import Progress, first_noise
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.numerics.identification.tuning import BRIEF, BRIEF_SHARE, FROM, SEARCHED, TAUGHT
+from agent.commissioning.tuning import BRIEF, BRIEF_SHARE, FROM, SEARCHED, TAUGHT
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.columns import Window

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from agent.numerics.identification.pooled import Costs
-from agent.numerics.identification.tuning import LEVEL, RIDGE
+from agent.commissioning.numerics.motion.pooled import Costs
+from agent.commissioning.tuning import LEVEL, RIDGE
 from agent.types import BoolArray, FloatArray
 
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.identification import tuning
-from agent.numerics.identification.modulation import Modulation, held
+from agent.commissioning import tuning
+from agent.commissioning.numerics.motion.modulation import Modulation, held
 from agent.numerics.model.mechanics import GROUND, Element, MassSpringDamper
 from agent.types import BoolArray, FloatArray
 
@@ -197,8 +197,8 @@ def _errors(
     w = seen.weight[used]
     e = w * np.log(H[:, used] / seen.H[used])
     D = w * (theta[:, None, :, None, None] * dH).swapaxes(1, 2)[:, :, used] / H[:, None, used]
-    r = np.concatenate([e.real, e.imag, (phi - middle) / tuning.VAGUE], axis=1)
-    known = np.broadcast_to(np.eye(phi.shape[1]) / tuning.VAGUE, (len(phi), *2 * phi.shape[1:]))
+    r = np.concatenate([e.real, e.imag, (phi - middle) / tuning.VAGUE_LOG], axis=1)
+    known = np.broadcast_to(np.eye(phi.shape[1]) / tuning.VAGUE_LOG, (len(phi), *2 * phi.shape[1:]))
     return np.sum(r**2, axis=1), np.concatenate([D.real, D.imag, known], axis=2), r
 
 

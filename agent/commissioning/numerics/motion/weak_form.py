@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.identification.modulation import Modulation, held
+from agent.commissioning.numerics.motion.modulation import Modulation, held
 from agent.numerics.model.mechanics import GROUND, Element, MassSpringDamper
 from agent.types import BoolArray, FloatArray, IntArray
 

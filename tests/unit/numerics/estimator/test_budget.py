@@ -1,7 +1,8 @@
 """What is begun beside the rows is bounded by construction, in work that is counted and not timed."""
 
+from agent.numerics.estimator.schedule import Budget
+from agent.numerics.fitting.fit import WORK
 from agent.numerics.fitting.tuning import EVALUATION
-from agent.numerics.fitting.work import WORK, Budget
 
 
 def test_budget_allows_until_it_is_spent_and_again_when_samples_have_paid() -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.excitation.tuning import CHECK, GAP, LITTLE, ROUNDS
+from agent.commissioning.tuning import CHECK, DESIGN_ROUNDS, GAP, LITTLE
 from agent.numerics.model.statespace import Discrete
 from agent.types import ComplexArray, FloatArray
 
@@ -92,7 +92,7 @@ def _d(information: FloatArray, power: FloatArray) -> FloatArray:
 def _multiplied(information: FloatArray, power: FloatArray) -> FloatArray:
     q = information.shape[1]
     flat = information.reshape(len(information), -1)
-    for step in range(ROUNDS):
+    for step in range(DESIGN_ROUNDS):
         inverse = np.linalg.inv((power @ flat).reshape(q, q))
         d = flat @ inverse.ravel()
         if step % CHECK == 0 and d.max() <= q * (1.0 + GAP):

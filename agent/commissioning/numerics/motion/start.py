@@ -13,8 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.identification.tuning import RESTS, ROUNDS, SCALES, SHORTEST_STRETCH, STILL
-from agent.numerics.identification.weak_form import Equations, Sensing, Spectra, spectra, usable_nodes
+from agent.commissioning.numerics.motion.weak_form import (
+    Equations,
+    Sensing,
+    Spectra,
+    spectra,
+    usable_nodes,
+)
+from agent.commissioning.tuning import RESTS, SCALES, SHORTEST_STRETCH, STILL_VARIANCE, WEAK_ROUNDS
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.types import FloatArray
 
@@ -78,7 +84,7 @@ def _stretches(samples: int, scales: Sequence[int]) -> Iterator[slice]:
 def rests(pieces: Sequence[tuple[FloatArray, FloatArray]], sigma: FloatArray) -> bool:
     """Whether no output (p,) moves beyond the noise of its sensor."""
     y = np.concatenate([piece - piece.mean(axis=0) for piece, _ in pieces])
-    return bool(np.all(y.var(axis=0) <= STILL * sigma**2 + 1e-300))
+    return bool(np.all(y.var(axis=0) <= STILL_VARIANCE * sigma**2 + 1e-300))
 
 
 def still(
@@ -97,7 +103,7 @@ def still(
         places = [sensor[end] for end in ends if end != GROUND]
         alike = len({model.outputs[place].quantity for place in places}) == 1
         motion = y[:, places] @ np.array([1.0, -1.0][: len(places)]) if alike else y[:, places[0]]
-        return bool(motion.var() <= STILL * np.sum(sigma[places] ** 2) + 1e-300)
+        return bool(motion.var() <= STILL_VARIANCE * np.sum(sigma[places] ** 2) + 1e-300)
 
     elements = [e for e in (*s.springs, *s.dampers, *s.frictions) if e.name in model.parameters]
     quiet = tuple(e.name for e in elements if quiet_between(e.between))
@@ -119,7 +125,7 @@ class _Solver:
         q = len(self.equations.model.parameters)
         N = self._first_weight()
         theta = self._solved(P, P, b, N, compensated=False)
-        for turn in range(ROUNDS):
+        for turn in range(WEAK_ROUNDS):
             N = self._weight(theta[:q], P, b, theta)
             instruments = turn > 2 and bool(self.equations.model.forces)
             Z = self._instruments(theta[:q], P) if instruments else P

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.fitting.tuning import SINGULAR
+from agent.commissioning.tuning import SINGULAR
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import scales
 from agent.numerics.model.statespace import Discrete

@@ -8,9 +8,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from agent.commissioning.tuning import FITS, LEAST_SHARE, MARGIN, NEAR, STILL, WIDE
 from agent.numerics.fitting.fit import FittedModel, fit_window
 from agent.numerics.fitting.skew import Group, SkewMeter
-from agent.numerics.fitting.tuning import FITS, LEAST_SHARE, MARGIN, NEAR, STILL, WIDE
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
 from agent.numerics.preprocessing.noise import sensor_noise

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.fitting.channel_scale import factor_of_input, factor_of_output
+from agent.commissioning.numerics.channel_scale import factor_of_input, factor_of_output
+from agent.commissioning.tuning import BETTER, EXPLAINED, FACTORS, FITS, LEAST_SHARE, NEAR, STILL, WORTH
 from agent.numerics.fitting.fit import FittedModel, fit_window
-from agent.numerics.fitting.tuning import BETTER, EXPLAINED, FACTORS, FITS, LEAST_SHARE, NEAR, STILL, WORTH
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import discretise
 from agent.numerics.preprocessing.noise import sensor_noise

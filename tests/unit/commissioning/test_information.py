@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.numerics.fitting.information import bound_sd, predicted_sd, window_information
+from agent.commissioning.numerics.information import bound_sd, predicted_sd, window_information
 from agent.numerics.model.statespace import simulate
 from agent.numerics.model.uncertain import Constant, Rig
 from tests.unit.numerics.paper_rig import NOMINAL, rig

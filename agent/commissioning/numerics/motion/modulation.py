@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.identification.tuning import FASTEST
+from agent.commissioning.tuning import FASTEST
 from agent.types import FloatArray
 
 ComplexArray = NDArray[np.complex128]

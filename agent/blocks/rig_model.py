@@ -11,10 +11,10 @@ from agent.config.model.linear import LinearModel
 from agent.config.model.parameters import Parameter
 from agent.config.model.tables import Channel, MechanicsModel
 from agent.numerics.model.elements.descriptor import LETTERS, DescriptorModel, Size, Terms, with_forces
-from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.sensors import Nuisance, SensedModel
 from agent.numerics.model.statespace import AffineModel, Model, StateSpace, modes, stacked
+from agent.numerics.paper.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 

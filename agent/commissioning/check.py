@@ -22,10 +22,11 @@ from agent.commissioning.recorded_windows import (
 from agent.commissioning.tuning import OBSERVER_ROUNDS, WORST_ROUNDS
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
-from agent.numerics.model.margins import condition_3, condition_8
-from agent.numerics.model.margins_box import DesignToolsMissingError, polytopic_margin
 from agent.numerics.model.observer import Noise
-from agent.numerics.model.region import (
+from agent.numerics.model.statespace import Discrete, modes
+from agent.numerics.paper.margins import condition_3, condition_8
+from agent.numerics.paper.margins_box import DesignToolsMissingError, polytopic_margin
+from agent.numerics.paper.region import (
     hidden_mode,
     named,
     perturbation,
@@ -33,8 +34,7 @@ from agent.numerics.model.region import (
     radius_of_observer,
     worst_in_box,
 )
-from agent.numerics.model.statespace import Discrete, modes
-from agent.numerics.model.tuning import MOST_PARAMETERS
+from agent.numerics.paper.tuning import MOST_PARAMETERS
 from agent.runtime.assembly.model_check import hidden_states, model_faults
 from agent.runtime.assembly.number_checks import attempted
 from agent.runtime.assembly.source_faults import source_error

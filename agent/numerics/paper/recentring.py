@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.paper.seed import observe
+from agent.numerics.paper.sensitivity import sensitivity_filter
 from agent.numerics.paper.tuning import DEPENDENT, SLOWEST
 from agent.types import ComplexArray, FloatArray
 

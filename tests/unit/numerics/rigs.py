@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
 from agent.numerics.model.observer import Gain, Noise, matched_gain, plain_gain, poles_gain
-from agent.numerics.model.sensitivity import SensitivityFilter, sensitivity_filter
 from agent.numerics.model.statespace import Discrete, discretise, simulate
+from agent.numerics.paper.sensitivity import SensitivityFilter, sensitivity_filter
 from tests.unit.numerics.paper_rig import rig
 
 FloatArray = NDArray[np.float64]

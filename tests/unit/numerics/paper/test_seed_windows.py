@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.numerics.model.gains import PlacedGains
 from agent.numerics.model.observer import Noise
 from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
 from agent.numerics.model.statespace import Model, discretise, simulate
+from agent.numerics.paper.gains import PlacedGains
 from agent.numerics.paper.seed import Stopping
 from agent.numerics.paper.seed_window import SeedSettings, SeedWindow, fit_passes
 from agent.numerics.paper.seed_windows import SeedWindows

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from agent.blocks.level_alarms import LevelAlarms
-from agent.numerics.reference.limits import Healthy, Limit, false_per_year, proposed
+from agent.reference.limits import Healthy, Limit, false_per_year, proposed
 from agent.units import YEAR_S
 from tests.unit.blocks.test_level_alarms import batch
 

@@ -9,7 +9,7 @@ import numpy as np
 from agent.numerics.model.observer import Gain, Noise, matched_gain, plain_gain, poles_gain, start_gain
 from agent.numerics.model.riccati import spectral_radius
 from agent.numerics.model.statespace import Discrete
-from agent.numerics.model.tuning import STRICTLY_STABLE
+from agent.numerics.paper.tuning import STRICTLY_STABLE
 from agent.types import FloatArray
 
 

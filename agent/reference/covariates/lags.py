@@ -21,7 +21,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from agent.numerics.reference.tuning import CLOSED, DRIFTS, MOST_GAP, RECENT, UNREAD
+from agent.reference.tuning import CLOSED, DRIFTS, MOST_GAP, RECENT, UNREAD
 from agent.types import BoolArray, FloatArray, IntArray
 from agent.units import MINUTE_NS
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.numerics.reference.spread import correlation_sum, huber, spread
+from agent.reference.spread import correlation_sum, huber, spread
 
 HOUR = 3600.0
 

@@ -4,8 +4,8 @@ observer."""
 import numpy as np
 import pytest
 
-from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import StateSpace, discretise
+from agent.numerics.paper.sensitivity import sensitivity_filter
 from tests.unit.numerics.model.test_statespace import widest_model
 from tests.unit.numerics.rigs import FloatArray
 

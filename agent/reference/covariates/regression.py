@@ -16,9 +16,9 @@ from math import hypot, log, sqrt
 
 import numpy as np
 
-from agent.numerics.reference.covariates.lags import Lag
-from agent.numerics.reference.spread import MAD, correlation_sum
-from agent.numerics.reference.tuning import ALIKE, CLIPPED, CORRELATIONS, LENGTHS, PART, ROUNDS, SHORTEST_S
+from agent.reference.covariates.lags import Lag
+from agent.reference.spread import MAD, correlation_sum
+from agent.reference.tuning import ALIKE, CLIPPED, CORRELATIONS, LENGTHS, PART, ROUNDS, SHORTEST_S
 from agent.types import FloatArray, IntArray
 
 FINE = tuple(2.0 ** (k / 12) for k in (-4, -3, -2, -1, 1, 2, 3, 4))

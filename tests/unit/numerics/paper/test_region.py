@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from agent.numerics.model.region import (
+from agent.numerics.model.statespace import AffineModel, StateSpace
+from agent.numerics.paper.region import (
     hidden_mode,
     perturbation,
     radius_of_model,
     radius_of_observer,
     worst_in_box,
 )
-from agent.numerics.model.statespace import AffineModel, StateSpace
 from agent.types import FloatArray
 from tests.unit.numerics.rigs import measured_model, random_structure
 

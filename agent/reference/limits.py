@@ -15,7 +15,7 @@ from math import exp, inf, log, pi, sqrt
 from scipy.optimize import brentq
 from scipy.special import chdtri, ndtri
 
-from agent.numerics.reference.tuning import FOUND, MARGIN, SURE, WORTH
+from agent.reference.tuning import FOUND, MARGIN, SURE, WORTH
 from agent.units import YEAR_S
 
 DELAYS = tuple(2.0**i for i in range(8))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from agent.numerics.model.statespace import Model
-from agent.numerics.model.tuning import MOST_PARAMETERS
+from agent.numerics.paper.tuning import MOST_PARAMETERS
 from agent.types import FloatArray
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from agent.numerics.model.statespace import Model, StateSpace
-from agent.numerics.model.tuning import FLIPPED, INSIDE, MOST_VERTICES, OFFSET, SEED, STARTS
+from agent.numerics.paper.tuning import FLIPPED, INSIDE, MOST_VERTICES, OFFSET, SEED, STARTS
 from agent.types import FloatArray
 
 Measure = Callable[[FloatArray], float]

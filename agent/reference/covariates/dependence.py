@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import floor, hypot, log10, sqrt
 
-from agent.numerics.reference.covariates.lags import Lag, Lagged, Shape
-from agent.numerics.reference.tuning import LITTLE, OUTSIDE, STRANGE
+from agent.reference.covariates.lags import Lag, Lagged, Shape
+from agent.reference.tuning import LITTLE, OUTSIDE, STRANGE
 
 
 @dataclass(frozen=True, slots=True)

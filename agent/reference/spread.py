@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.reference.tuning import CLIPPED, LEAST_DAYS, LEAST_PAIRS, OUTLIER
+from agent.reference.tuning import CLIPPED, LEAST_DAYS, LEAST_PAIRS, OUTLIER
 from agent.types import BoolArray, FloatArray, IntArray
 from agent.units import DAY_S
 

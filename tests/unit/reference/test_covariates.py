@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from agent.numerics.reference.covariates.dependence import Dependence, remark, shift, stepped, widened
-from agent.numerics.reference.covariates.lags import Lag, LagFilter, Lagged, newest_period, series
-from agent.numerics.reference.covariates.regression import alike, lags, regress
+from agent.reference.covariates.dependence import Dependence, remark, shift, stepped, widened
+from agent.reference.covariates.lags import Lag, LagFilter, Lagged, newest_period, series
+from agent.reference.covariates.regression import alike, lags, regress
 from agent.types import FloatArray
 
 LAGS = (Lag(), Lag("delay", 600.0), Lag("first-order", 1800.0))

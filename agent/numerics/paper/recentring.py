@@ -89,7 +89,7 @@ def _sensitivities(
     model: StateSpace, gain: FloatArray, y: FloatArray, u: FloatArray, x0: FloatArray
 ) -> FloatArray:
     """Return d y_predicted by each parameter (N, p, q), the observer's gain held."""
-    system = sensitivity_filter(model, gain, np.eye(model.p))
+    system = sensitivity_filter(model, gain)
     z = np.concatenate([x0, np.zeros(len(system.F) - model.n)])
     v = np.hstack([y, u])
     rows = np.empty((len(v), len(system.H)))

@@ -226,7 +226,7 @@ def innovation_step(
     model: sampled where the passes ended. y (N, p), u (N, m), x0 (n,): the samples that the observer settles
     in, too.
     """
-    system = sensitivity_filter(model, settings.gain, np.eye(model.p))
+    system = sensitivity_filter(model, settings.gain)
     v = np.hstack([y, u])
     z = np.concatenate([x0, np.zeros(len(system.F) - system.n)])
     states = np.empty((len(v), len(system.F)))

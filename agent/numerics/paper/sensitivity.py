@@ -34,8 +34,8 @@ class SensitivityFilter:
     q: int
 
 
-def sensitivity_filter(model: StateSpace, gain: FloatArray, whitening: FloatArray) -> SensitivityFilter:
-    """Build the filters of a sampled model for gain L (n, p); outputs are multiplied by whitening (p, p)."""
+def sensitivity_filter(model: StateSpace, gain: FloatArray) -> SensitivityFilter:
+    """Build the filters of a sampled model for gain L (n, p)."""
     n, m, p, q = model.n, model.m, model.p, model.q
     Phi = model.A - gain @ model.C
     F = np.asarray(np.kron(np.eye(1 + q), Phi), dtype=np.float64)
@@ -53,6 +53,4 @@ def sensitivity_filter(model: StateSpace, gain: FloatArray, whitening: FloatArra
         H[:, 1 + i, :n] = model.dC[i]
         J[:, 1 + i, p:] = model.dD[i]
     size = p * (1 + q)
-    white_H = np.tensordot(whitening, H, axes=1).reshape(size, -1)
-    white_J = np.tensordot(whitening, J, axes=1).reshape(size, -1)
-    return SensitivityFilter(F, N, white_H, white_J, n, p, q)
+    return SensitivityFilter(F, N, H.reshape(size, -1), J.reshape(size, -1), n, p, q)

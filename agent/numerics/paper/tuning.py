@@ -1,7 +1,5 @@
 """Tuned numbers of the paper's method and its conditions: name, value, unit, and why."""
 
-# gains.py
-STRICTLY_STABLE = 1.0 - 1e-6  # largest pole radius with which an observer may run on uncorrected
 # margins_box.py
 MOST_PARAMETERS = 8  # the polytopic margin has 2^q vertices, each of them a matrix inequality
 # recentring.py

@@ -27,17 +27,10 @@ class Identifiability:
         silent: numbers of the parameters that leave no trace.
         blends: (k, q) changes of several parameters that together leave no trace, in the parameters' units,
             each scaled so that its largest share of `scale` is 1.
-        smallest: the least singular value over the largest, silent parameters left out.
     """
 
     silent: tuple[int, ...]
     blends: FloatArray
-    smallest: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether every parameter can be told from all others."""
-        return not self.silent and not len(self.blends)
 
 
 def identifiability(model: Model, measured: int, scale: FloatArray) -> Identifiability:
@@ -56,17 +49,17 @@ def identifiability(model: Model, measured: int, scale: FloatArray) -> Identifia
 def assess(model: StateSpace, measured: int, scale: FloatArray) -> Identifiability:
     """Judge one continuous-time model; arguments as for `identifiability`."""
     if not model.q:
-        return Identifiability((), np.zeros((0, 0)), 1.0)
+        return Identifiability((), np.zeros((0, 0)))
     jacobian, size = _jacobian(_balanced(model), measured)
     lengths = np.linalg.norm(jacobian, axis=0)
     received = lengths > SILENT * size
     silent = tuple(np.flatnonzero(~received).tolist())
     if not received.any():
-        return Identifiability(silent, np.zeros((0, model.q)), 1.0)
+        return Identifiability(silent, np.zeros((0, model.q)))
     _, values, vectors = np.linalg.svd(jacobian[:, received] / lengths[received], full_matrices=False)
     null = np.zeros((int(np.sum(values < TOLERANCE * values[0])), model.q))
     null[:, received] = vectors[len(values) - len(null) :] / lengths[received]
-    return Identifiability(silent, readable_blends(null, scale, lengths), float(values[-1] / values[0]))
+    return Identifiability(silent, readable_blends(null, scale, lengths))
 
 
 def _balanced(model: StateSpace) -> StateSpace:

@@ -76,9 +76,6 @@ class Normal:
     log_det: float
     x0: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.g)
-
 
 @dataclass(frozen=True, slots=True)
 class Solved:

@@ -34,7 +34,3 @@ class Ends:
         squared = intensity**2
         variance = np.concatenate([squared @ self.gain, 2 * squared[..., self.slow]], axis=-1)
         return np.asarray(1.0 / np.maximum(variance, LEAST_VARIANCE))
-
-    def moves(self, a: int) -> bool:
-        """Whether source a has a column here."""
-        return bool(a in self.slow or self.gain[a].any())

@@ -14,9 +14,8 @@ from agent.numerics.window.jump import Jumps
 from agent.numerics.window.losses import Losses
 from agent.numerics.window.lost import Lost, Taps
 from agent.numerics.window.operators import Operators
-from agent.numerics.window.rows import BankRows, Windowed, joined
+from agent.numerics.window.rows import BankRows, Windowed
 from agent.numerics.window.solve import Solved, Starts
-from agent.numerics.window.tail import Tail
 from agent.numerics.window.tuning import BATCH, RENEWED, SPARE
 from agent.types import FloatArray, IntArray
 
@@ -74,14 +73,13 @@ class Stream:
         if lost is not None and len(lost):
             self._losses.append(lost)
 
-    def rows(self) -> BankRows:
-        """Return the rows that have fallen due since the last call."""
-        pieces = []
+    def next(self) -> BankRows | None:
+        """Return the next rows that have fallen due; None where more samples must come first."""
         while units := self._ready():
-            piece = self._advance(units)
-            if piece is not None:
-                pieces.append(piece)
-        return joined(pieces, len(self.operators.lengths))
+            rows = self._advance(units)
+            if rows is not None:
+                return rows
+        return None
 
     def samples(self, start: int, stop: int) -> FloatArray:
         """Return kept samples [start, stop), (N, p+m)."""
@@ -239,6 +237,39 @@ class Stream:
         z = np.zeros(size.z)
         z[: size.n] = z[size.a : size.a + size.n] = self._best
         self._begin(hop, z)
+
+
+class Tail:
+    """Numbered rows of equal width, the oldest of which may be let go.
+
+    Args:
+        first: number of the first row.
+        width: columns.
+    """
+
+    def __init__(self, first: int, width: int) -> None:
+        self.first = first
+        self.stop = first
+        self._table: FloatArray = np.empty((64, width))
+
+    def append(self, rows: FloatArray) -> None:
+        """Add rows (N, width) at the end."""
+        used = self.stop - self.first
+        if used + len(rows) > len(self._table):
+            larger = np.empty((2 * (used + len(rows)), self._table.shape[1]))
+            larger[:used] = self._table[:used]
+            self._table = larger
+        self._table[used : used + len(rows)] = rows
+        self.stop += len(rows)
+
+    def part(self, start: int, stop: int) -> FloatArray:
+        """Return rows [start, stop) by their numbers, as a view."""
+        return self._table[start - self.first : stop - self.first]
+
+    def forget(self, oldest: int) -> None:
+        """Let go of the rows before number `oldest`."""
+        self._table = self.part(oldest, self.stop).copy()
+        self.first = oldest
 
 
 def _sliding(operators: Operators) -> Sliding:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import Coloured, NoiseModel
-from agent.numerics.window.rows import BankRows, Windowed, joined
+from agent.numerics.window.rows import BankRows, Windowed
 from agent.numerics.window.stream import Stream
-from tests.unit.numerics.window.bank_rigs import bank_rig, rows_of
+from tests.unit.numerics.window.bank_rigs import bank_rig, due, joined, rows_of
 
 FloatArray = NDArray[np.float64]
 RIG = bank_rig()
@@ -52,8 +52,8 @@ def test_rows_are_the_same_to_the_last_bit_however_samples_arrive(window: int) -
         pieces = []
         for start in range(0, 1500, size):
             stream.append(start, v[start : start + size])
-            pieces.append(stream.rows())
-        portions = joined(pieces, 3)
+            pieces += due(stream)
+        portions = joined(pieces)
         assert np.array_equal(portions.index, whole.index)
         for length in range(3):
             one, other = first(whole, length), first(portions, length)
@@ -79,10 +79,10 @@ def test_a_new_segment_begins_windows_afresh_at_the_hop_grid() -> None:
     v = np.hstack(record(400))
     stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
     stream.append(0, v[:200])
-    stream.rows()
+    list(due(stream))
     stream.start_segment(207)
     stream.append(207, v[207:])
-    rows = stream.rows()
+    rows = joined(due(stream))
     assert rows.index[0] == 232
     assert first(rows).index[0] == 352
 

@@ -150,6 +150,14 @@ class WindowSolver:
         return Solved(normal, moved)
 
 
+def inverse(M: FloatArray) -> FloatArray:
+    """Return the inverse of positive M (..., k, k): what nothing shows has a huge sd, all else its own."""
+    d = 1.0 / np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), 1e-300))
+    across = d[..., :, None]
+    along = d[..., None, :]
+    return np.asarray(np.linalg.inv(M * across * along + UNSEEN * np.eye(M.shape[-1])) * across * along)
+
+
 def _orthonormal(span: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return root, span @ root (orthonormal columns) and log|span' span|, unseen directions left out."""
     scale = np.linalg.norm(span, axis=0)

@@ -145,8 +145,8 @@ class ChannelConstants:
         self, rig: FittedModel, start: FloatArray, y: FloatArray, u: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the share (p,) left of each output, and the parameters there."""
-        problem = rig.problem(self._noise(y), np.hstack([y, u]))
-        fit = fit_window(problem, window_of(y, u), start, max_steps=10, tolerance=0.1)
+        fitted = rig.of(self._noise(y), np.hstack([y, u]))
+        fit = fit_window(fitted, window_of(y, u), start, max_steps=10, tolerance=0.1)
         return np.sqrt(fit.left / np.maximum(np.sum(y**2, axis=0), 1e-300)), fit.theta
 
     def _fitted_columns(self, columns: FloatArray, theta: FloatArray) -> FloatArray:

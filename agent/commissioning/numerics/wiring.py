@@ -204,12 +204,12 @@ class Examiner:
         # no output is weighed more than a thousand times its size, or its noise alone would decide
         sigma = np.maximum(self._noise(y), LEAST_SHARE * np.sqrt(power / len(y)) + 1e-300)
         u = self.complete(y, u)
-        problem = self.rig.problem(sigma, np.hstack([y, u]))
+        fitted = self.rig.of(sigma, np.hstack([y, u]))
         with np.errstate(
             all="ignore"
         ):  # what a wrong hypothesis does to a fit is its own affair: it leaves everything
             try:
-                fit = fit_window(problem, window_of(y, u), self.rig.model.nominal, max_steps=8, tolerance=0.1)
+                fit = fit_window(fitted, window_of(y, u), self.rig.model.nominal, max_steps=8, tolerance=0.1)
             except (ValueError, np.linalg.LinAlgError):
                 return np.full_like(power, np.inf), power, self.rig.model.nominal
         return fit.left, power, fit.theta

@@ -10,8 +10,9 @@ sections 4.5 and 13.4), and every model costs the same few milliseconds whatever
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import matrix_balance, qr
+from scipy.linalg import qr
 
+from agent.numerics.model.observer import balanced
 from agent.numerics.model.statespace import Model, StateSpace, modes
 from agent.numerics.model.tuning import ANGLE, HALF_RATE, SILENT, TOLERANCE
 from agent.types import ComplexArray, FloatArray
@@ -64,11 +65,10 @@ def assess(model: StateSpace, measured: int, scale: FloatArray) -> Identifiabili
 
 def _balanced(model: StateSpace) -> StateSpace:
     """Return the model with states and time scaled so that rows and columns of A weigh alike."""
-    balanced, (scale, _) = matrix_balance(model.A, permute=False, separate=True)
-    T = np.asarray(scale, dtype=float)
+    A, T = balanced(model.A)
     similarity = T[None, :] / T[:, None]
     return StateSpace(
-        np.asarray(balanced, dtype=float), model.B / T[:, None], model.C * T, model.D,
+        A, model.B / T[:, None], model.C * T, model.D,
         model.dA * similarity, model.dB / T[:, None], model.dC * T, model.dD, model.is_sampled,
     )  # fmt: skip
 

@@ -135,7 +135,7 @@ def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance:
     """
     rates = continuous.A - np.eye(continuous.n) if continuous.is_sampled else continuous.A
     speed = max(float(np.max(np.abs(np.linalg.eigvals(rates)), initial=0.0)), 1e-300)
-    A, scale = _balanced(rates / speed)
+    A, scale = balanced(rates / speed)
     C = continuous.C * scale
     norms = np.linalg.norm(C, axis=1, keepdims=True)
     hidden = _kernel(C / np.where(norms > 0, norms, 1.0), tolerance)
@@ -155,9 +155,9 @@ def _kernel(matrix: FloatArray, tolerance: float) -> FloatArray:
     return np.asarray(vectors[rank:].T, dtype=np.float64)
 
 
-def _balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return A scaled by a diagonal similarity so rows and columns weigh alike, and the (n,) scaling of C."""
+def balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return A (n, n) scaled by a diagonal similarity so that rows and columns weigh alike, and the scale."""
     from scipy.linalg.lapack import dgebal  # scipy's matrix_balance imports masked arrays, which take 1 MB
 
-    balanced, _, _, scale, _ = dgebal(A, scale=1, permute=0)
-    return np.asarray(balanced), np.asarray(scale)
+    alike, _, _, scale, _ = dgebal(A, scale=1, permute=0)
+    return np.asarray(alike), np.asarray(scale)

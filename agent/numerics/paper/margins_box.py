@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.numerics.model.observer import balanced
 from agent.numerics.model.statespace import Model
 from agent.numerics.paper.tuning import MOST_PARAMETERS
 from agent.types import FloatArray
@@ -110,12 +111,9 @@ class _Feasibility:
     """Is there one P for all vertices at a share s? States and time are scaled to near 1 for the solver."""
 
     def __init__(self, base: FloatArray, directions: FloatArray) -> None:
-        from scipy.linalg import matrix_balance
-
-        _, (scale, _) = matrix_balance(base, permute=False, separate=True)
-        similarity = np.asarray(scale)[None, :] / np.asarray(scale)[:, None]
+        _, self.scale = balanced(base)
+        similarity = self.scale[None, :] / self.scale[:, None]
         speed = self._speed(base)
-        self.scale = np.asarray(scale, dtype=float)
         self.base, self.directions = base * similarity / speed, directions * similarity / speed
         self.cvxpy = _cvxpy()
         self.share: Any = self.cvxpy.Parameter(nonneg=True)

@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import expm
 
+from agent.numerics.model.observer import balanced
 from agent.numerics.model.statespace import Model, StateSpace
 from agent.numerics.paper.tuning import FLIPPED, INSIDE, MOST_VERTICES, OFFSET, SEED, STARTS
 from agent.types import FloatArray
@@ -199,12 +200,9 @@ def _rates(model: StateSpace) -> FloatArray:
 
 
 def _units(model: StateSpace) -> tuple[float, FloatArray]:
-    from scipy.linalg import matrix_balance
-
     rates = _rates(model)
     speed = max(float(np.abs(np.linalg.eigvals(rates)).max(initial=0.0)), 1e-300)
-    _, (scale, _) = matrix_balance(rates / speed, permute=False, separate=True)
-    return speed, np.asarray(scale, dtype=float)
+    return speed, balanced(rates / speed)[1]
 
 
 def named(parameters: Sequence[str], theta: FloatArray) -> dict[str, float]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.blocks.estimation import Method
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.fitting.work import Budget
+from agent.numerics.estimator.schedule import Budget
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status
 

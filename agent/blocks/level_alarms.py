@@ -22,8 +22,8 @@ import numpy as np
 
 from agent.alarms.life_cycle import CLEARED, RAISED
 from agent.config.tables import Alarm as AlarmRule
-from agent.numerics.exceedance import Deviations
 from agent.numerics.preprocessing.rows import steps_from
+from agent.reference.exceedance import Deviations
 from agent.text import behind, number, with_sd
 from agent.types import AlarmState, AlarmTransition, BoolArray, EstimateBatch, FloatArray, IntArray, Status
 

@@ -4,17 +4,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.blocks.tuning import AUTOMATIC_WINDOWS, STANDS
+from agent.blocks.tuning import AUTOMATIC_WINDOWS, STANDS, STRICTLY_STABLE
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain, Term
 from agent.config.model.linear import LinearModel
 from agent.config.model.parameters import Parameter
 from agent.config.model.tables import Channel, MechanicsModel
 from agent.numerics.model.elements.descriptor import LETTERS, DescriptorModel, Size, Terms, with_forces
-from agent.numerics.model.gains import AutomaticGains, Gains, KalmanGains, PlacedGains, QuietGains
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
+from agent.numerics.model.observer import matched_gain, poles_gain, start_gain
+from agent.numerics.model.riccati import spectral_radius
 from agent.numerics.model.sensors import Nuisance, SensedModel
-from agent.numerics.model.statespace import AffineModel, Model, StateSpace, modes, stacked
+from agent.numerics.model.statespace import AffineModel, Discrete, Model, StateSpace, modes, stacked
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
@@ -246,14 +247,33 @@ def _leant(config: RigConfig) -> tuple[int, ...] | None:
     return tuple(i for i, c in enumerate(config.outputs) if f"{c.name}.gain" not in wanted)
 
 
-def observer_gains(config: RigConfig, rig: RigModel, window: int) -> Gains:
-    """Return the rule of the observer's gain that the configuration asks for; window in samples."""
+def observer_gain(config: RigConfig, rig: RigModel, discrete: Discrete, resolution: FloatArray) -> FloatArray:
+    """Return the observer's gain (n, p) as configured; else one that forgets a wrong model within a window.
+
+    Raises ValueError where no gain gives a stable observer.
+    """
     observer = config.estimator.observer
+    noise = known_noise(config, resolution)
+    sigma = np.where(np.isfinite(noise), noise, 1.0)
     if observer.gain == "poles":
-        return PlacedGains(observer.poles, _leant(config))
-    if observer.gain == "kalman" and observer.process_sd is not None:
+        return poles_gain(discrete.model, observer.poles, discrete.period_s, _leant(config))
+    if _is_pushed(config):
         process = np.broadcast_to(np.asarray(observer.process_sd, dtype=float), (rig.disturbance.shape[1],))
-        if not process.any():
-            return QuietGains(rig.disturbance, window)
-        return KalmanGains(rig.disturbance, process)
-    return AutomaticGains(rig.disturbance, window)
+        return matched_gain(discrete, rig.disturbance, sigma, process)
+    return start_gain(discrete, rig.disturbance, sigma, hop_plan(config).window)
+
+
+def settled_gain(config: RigConfig, discrete: Discrete, gain: FloatArray) -> FloatArray:
+    """Return the gain about a fitted model, where `gain` is the one to start with.
+
+    With sensor noise alone any correction loses information; but a model that is not strictly stable needs
+    one.
+    """
+    is_free = config.estimator.observer.gain != "poles" and not _is_pushed(config)
+    return np.zeros_like(gain) if is_free and spectral_radius(discrete.model.A) < STRICTLY_STABLE else gain
+
+
+def _is_pushed(config: RigConfig) -> bool:
+    """Whether unknown forces are configured that the observer is to follow."""
+    observer = config.estimator.observer
+    return observer.gain == "kalman" and observer.process_sd is not None and bool(np.any(observer.process_sd))

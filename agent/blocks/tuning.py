@@ -75,6 +75,7 @@ ALARM_WINDOWS = 10  # windows learnt from that it must last
 TIED = 0.15  # share of the probability that each of several explanations has that cannot be told apart
 MOST_STUCK = 0.05  # share of a window that dry friction may hold: a hold is known no better than the model
 AUTOMATIC_WINDOWS = 5  # windows of "auto": each twice the one before
+STRICTLY_STABLE = 1.0 - 1e-6  # largest pole radius with which an observer may run on uncorrected
 STANDS = 1e-6  # of the fastest pole: a slower one is at zero (a free rig's are found to 1e-8 only)
 SETTLE_NS = 250_000_000  # ns that signs gather before the cause is named: late samples come first
 QUIET_NS = 1_000_000_000  # an episode is over when nothing was counted for so long

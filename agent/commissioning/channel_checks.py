@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.commissioning.tuning import LEVELS
+from agent.commissioning.tuning import LEVELS, STILL
 from agent.config import RigConfig
-from agent.numerics.fitting.tuning import STILL
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.numerics.preprocessing.tuning import ROUND_OFF
 from agent.runtime.assembly.acquisition_plan import channels_of

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windows, observer_gains, rig_model
+from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, observer_gain, rig_model, settled_gain
 from agent.commissioning.advice import warnings
 from agent.commissioning.baseline.limits import limit_warnings
 from agent.commissioning.evidence import Evidence, Gathered
@@ -22,10 +22,10 @@ from agent.commissioning.recorded_windows import (
 from agent.commissioning.tuning import OBSERVER_ROUNDS, WORST_ROUNDS
 from agent.config import RigConfig, load
 from agent.errors import ConfigError, Fault
-from agent.numerics.model.margins import condition_3, condition_8
-from agent.numerics.model.margins_box import DesignToolsMissingError, polytopic_margin
-from agent.numerics.model.observer import Noise
-from agent.numerics.model.region import (
+from agent.numerics.model.statespace import Discrete, modes
+from agent.numerics.paper.margins import condition_3, condition_8
+from agent.numerics.paper.margins_box import DesignToolsMissingError, polytopic_margin
+from agent.numerics.paper.region import (
     hidden_mode,
     named,
     perturbation,
@@ -33,8 +33,7 @@ from agent.numerics.model.region import (
     radius_of_observer,
     worst_in_box,
 )
-from agent.numerics.model.statespace import Discrete, modes
-from agent.numerics.model.tuning import MOST_PARAMETERS
+from agent.numerics.paper.tuning import MOST_PARAMETERS
 from agent.runtime.assembly.model_check import hidden_states, model_faults
 from agent.runtime.assembly.number_checks import attempted
 from agent.runtime.assembly.source_faults import source_error
@@ -163,11 +162,8 @@ def _bound(config: RigConfig, rig: RigModel) -> Iterator[Fault]:
 def _dynamic(config: RigConfig, rig: RigModel, resolution: FloatArray, gathered: Gathered) -> dict[str, Any]:
     """What only a model without faults has: observer, conditions, the sd to expect, warnings."""
     discrete = sampled(config, rig)
-    stated = known_noise(config, resolution)
-    sigma = np.where(np.isfinite(stated), stated, 1.0)
-    gains = observer_gains(config, rig, hop_plan(config).window)
-    noise = Noise(sigma, np.zeros(rig.disturbance.shape[1]))
-    gain, start = gains.settled(discrete, noise).L, gains.start(discrete, noise).L
+    start = observer_gain(config, rig, discrete, resolution)
+    gain = settled_gain(config, discrete, start)
     recorded = gathered.recorded
     failed = list[Fault]()
 

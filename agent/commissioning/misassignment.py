@@ -8,12 +8,12 @@ import numpy as np
 from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.channel_checks import plain_findings, suspicion
+from agent.commissioning.numerics.channel_constants import ChannelConstants, WrongConstant
+from agent.commissioning.numerics.wiring import Examiner, Finding, Hypothesis
 from agent.commissioning.tuning import PLAINER, STRETCHES
 from agent.config import RigConfig
 from agent.config.model.tables import Channel
 from agent.errors import Fault
-from agent.numerics.fitting.channel_constants import ChannelConstants, WrongConstant
-from agent.numerics.fitting.wiring import Examiner, Finding, Hypothesis
 from agent.runtime.assembly.acquisition_plan import (
     channels_of,
     complete_inputs,

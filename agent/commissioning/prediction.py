@@ -10,9 +10,9 @@ from agent.blocks.friction import friction_inputs, signals
 from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, output_noise
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning import tuning
+from agent.commissioning.numerics.information import PredictedSd, predicted_sd
 from agent.commissioning.readings import Recorded
 from agent.config import RigConfig
-from agent.numerics.fitting.information import PredictedSd, predicted_sd
 from agent.numerics.fitting.tuning import GREATEST
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from agent.blocks.rig_model import RigModel, rig_model
+from agent.commissioning.numerics.information import bound_sd, window_information
 from agent.commissioning.prediction import (
     Excitation,
     assumed_excitation,
@@ -19,7 +20,6 @@ from agent.commissioning.readings import Recorded
 from agent.commissioning.tuning import NOISE_OF_MORE, SEEN_WINDOWS, SHARE_OF_MORE, WEAKEST
 from agent.config import RigConfig
 from agent.errors import Fault
-from agent.numerics.fitting.information import bound_sd, window_information
 from agent.numerics.model.holds import straight
 from agent.numerics.model.identifiability import readable_blends
 from agent.numerics.model.sensors import with_constant

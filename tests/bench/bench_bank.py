@@ -66,7 +66,8 @@ def cost(rig: BankRig, y: np.ndarray, u: np.ndarray, window: int) -> float:
     def run() -> None:
         stream = streams.pop()
         stream.append(0, v)
-        stream.rows()
+        while stream.next() is not None:
+            pass
 
     return fastest(run) / SAMPLES * 1e9
 

@@ -10,7 +10,7 @@ from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import estimator_settings
 from agent.numerics.estimator.schedule import budget_of
 from agent.numerics.estimator.sliding import SlidingEstimator
-from agent.numerics.fitting.fit import Problem, WindowFit, fit_window
+from agent.numerics.fitting.fit import FittedModel, WindowFit, fit_window
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.identifiability import identifiability
 from agent.numerics.model.statespace import discretise
@@ -63,7 +63,7 @@ def fitted(
     hold = "zero" if system.discrete else "first"
     sigma = 1e-6 * y.std(axis=0)
     push = np.eye(len(system.A))
-    problem = Problem(model, PERIOD_S, hold, sigma, push, 0.1 * sizes, np.full(len(chosen), -np.inf))
+    problem = FittedModel(model, PERIOD_S, hold, push, sigma, 0.1 * sizes, np.full(len(chosen), -np.inf))
     return fit_window(problem, window_of(y, u[:-1]), model.nominal)
 
 

@@ -10,7 +10,7 @@ import typer
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
-from agent.numerics.model import margins_box, region
+from agent.numerics.paper import margins_box, region
 from tests.property.random_rigs import written
 
 COMMAND = typer.main.get_command(app)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from agent.numerics.fitting.fit import Problem, fit_window
+from agent.numerics.fitting.fit import FittedModel, fit_window
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.statespace import discretise
 from tests.unit.numerics.rigs import disturbance, measured_model, random_structure, record
@@ -27,7 +27,7 @@ def test_fit_window_noise_free_random_graph_is_recovered(masses: int, seed: int)
 
     truth = record(discretise(model.continuous(theta), period), rng.standard_normal((samples, masses)))
     sigma = np.full(masses, 1e-6 * np.sqrt(np.mean(truth.y**2)))
-    problem = Problem(model, period, "first", sigma, disturbance(model), nominal, 0.02 * nominal)
+    problem = FittedModel(model, period, "first", disturbance(model), sigma, nominal, 0.02 * nominal)
     fit = fit_window(problem, window_of(truth.y, truth.u), nominal)
     np.testing.assert_allclose(fit.theta, theta, rtol=1e-8)
     assert fit.converged

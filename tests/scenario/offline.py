@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from agent.blocks.rig_model import rig_model
+from agent.commissioning.numerics.information import bound_sd, window_information
 from agent.config import RigConfig, load
 from agent.evaluation.demo.bus import COARSE, FINE, Wire, write_config
-from agent.numerics.fitting.information import bound_sd, window_information
 from agent.numerics.model.statespace import discretise
 from agent.records import Record
 from agent.runtime.pipeline import Pipeline

@@ -12,8 +12,8 @@ from agent.blocks.covariates.means import CovariateMeans
 from agent.blocks.level_alarms import LevelAlarms
 from agent.config import Alarm, load
 from agent.config.sections.covariates import Covariate
-from agent.numerics.reference.covariates.dependence import Dependence, written
 from agent.records import Baseline, CovariateMean, Health, Record
+from agent.reference.covariates.dependence import Dependence, written
 from agent.runtime.pipeline import Pipeline
 from agent.runtime.replay import replay
 from agent.runtime.rig_runtime import RigRuntime

@@ -8,9 +8,10 @@ import numpy as np
 
 from agent.blocks import tuning
 from agent.blocks.acquisition.interface import SourceEvent
+from agent.numerics.estimator.schedule import Budget
+from agent.numerics.fitting.fit import WORK
 from agent.numerics.fitting.skew import Delays, Skew, SkewMeter, combined
 from agent.numerics.fitting.tuning import EVALUATION
-from agent.numerics.fitting.work import WORK, Budget
 from agent.types import FloatArray, IntArray
 
 Reader = Callable[[IntArray, FloatArray], FloatArray]

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.numerics.reference.covariates.dependence import Dependence, read, remark, shift, stepped, widened
-from agent.numerics.reference.covariates.lags import PERIOD_S, LagFilter, newest_period
-from agent.numerics.reference.tuning import STEPS_A_SPREAD
 from agent.records import Baseline, HealthEvent
+from agent.reference.covariates.dependence import Dependence, read, remark, shift, stepped, widened
+from agent.reference.covariates.lags import PERIOD_S, LagFilter, newest_period
+from agent.reference.tuning import STEPS_A_SPREAD
 from agent.types import EstimateBatch
 
 SOURCE, UNSURE, SURE = "baseline", "covariate", "recovered"

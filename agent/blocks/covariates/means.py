@@ -7,8 +7,8 @@ import numpy as np
 
 from agent.blocks.tuning import MEMORY_PERIODS
 from agent.config.sections.covariates import Covariate
-from agent.numerics.reference.tuning import CLOSED
 from agent.records import CovariateMean
+from agent.reference.tuning import CLOSED
 from agent.types import FloatArray, IntArray
 from agent.units import MINUTE_NS
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from agent.blocks.covariates.compensation import dependences
 from agent.cli.tuning import LATE_MEAN_S
-from agent.numerics.reference.covariates.dependence import Dependence
 from agent.records import Baseline, CovariateMean
+from agent.reference.covariates.dependence import Dependence
 from agent.text import ahead, behind, number
 
 

@@ -10,10 +10,10 @@ from agent.commissioning.baseline.target import Target
 from agent.commissioning.tuning import EDGES, HELD_TIMES, PRESENT
 from agent.config.sections.covariates import BaselineTable
 from agent.errors import Fault
-from agent.numerics.reference.covariates.dependence import Dependence
-from agent.numerics.reference.covariates.lags import PERIOD_S, Lag, Series, newest_period, series
-from agent.numerics.reference.covariates.regression import Found, alike, regress
-from agent.numerics.reference.spread import grouping
+from agent.reference.covariates.dependence import Dependence
+from agent.reference.covariates.lags import PERIOD_S, Lag, Series, newest_period, series
+from agent.reference.covariates.regression import Found, alike, regress
+from agent.reference.spread import grouping
 from agent.storage.read import covariates as stored
 from agent.storage.read.covariates import Means
 from agent.storage.read.points import Points

@@ -11,8 +11,8 @@ from agent.blocks.graph import graph_of
 from agent.blocks.rig_model import estimated
 from agent.commissioning.baseline.target import Target, target_of
 from agent.errors import Fault, UsageError
-from agent.numerics.reference.covariates.dependence import Dependence
 from agent.records import Baseline
+from agent.reference.covariates.dependence import Dependence
 from agent.storage import maintenance
 from agent.storage.read import baselines, queries
 

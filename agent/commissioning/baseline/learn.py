@@ -17,9 +17,9 @@ from agent.commissioning.baseline.target import Target, target_of
 from agent.commissioning.tuning import DOUBTFUL_PERIODS, LEAST_PERIODS
 from agent.config.sections.covariates import BaselineTable
 from agent.errors import Fault, UsageError
-from agent.numerics.reference.covariates.dependence import written
-from agent.numerics.reference.spread import periods, spread
 from agent.records import Baseline
+from agent.reference.covariates.dependence import written
+from agent.reference.spread import periods, spread
 from agent.storage import maintenance
 from agent.storage.read import queries
 from agent.storage.read.points import Points, points_of

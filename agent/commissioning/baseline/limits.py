@@ -11,8 +11,8 @@ from agent.commissioning.baseline.target import Target, configured, target_of
 from agent.commissioning.tuning import LITTLE_HOURS, ORDINARY, PER_YEAR, RESOLVE
 from agent.config import Alarm, RigConfig
 from agent.errors import Fault, StoreError, UsageError
-from agent.numerics.reference.limits import Healthy, false_per_year, proposed
 from agent.records import Baseline
+from agent.reference.limits import Healthy, false_per_year, proposed
 from agent.storage.read import baselines, queries
 from agent.text import number
 

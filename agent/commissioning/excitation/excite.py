@@ -15,6 +15,9 @@ from agent.blocks.rig_model import RigModel, rig_model
 from agent.blocks.statistical_rig import statistical_rig
 from agent.commissioning.check import resolution_of
 from agent.commissioning.excitation.lines import Lines, candidate_lines
+from agent.commissioning.numerics.design import Design, line_information, optimal
+from agent.commissioning.numerics.information import PredictedSd, predicted_sd
+from agent.commissioning.numerics.multisine import crest, multisine
 from agent.commissioning.prediction import Excitation, completed, expected_noise, sampled
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
@@ -22,9 +25,6 @@ from agent.commissioning.recording_summary import read_recording
 from agent.commissioning.tuning import MOST_SAMPLES, MOVING_TIMES, ROUNDING, SHOWN_SHARE, SIGNAL_DIGITS
 from agent.config import RigConfig, load
 from agent.errors import ModelError, RecordingError, UsageError
-from agent.numerics.excitation.design import Design, line_information, optimal
-from agent.numerics.excitation.multisine import crest, multisine
-from agent.numerics.fitting.information import PredictedSd, predicted_sd
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Discrete, simulate

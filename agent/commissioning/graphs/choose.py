@@ -26,15 +26,22 @@ from agent.commissioning.identification.material import material_of, noise_of_se
 from agent.commissioning.identification.start import started, started_in_response
 from agent.commissioning.identification.windows import pool, window_length, windowed
 from agent.commissioning.nominals import with_nominals, write_nominals
+from agent.commissioning.numerics.motion.pooled import costs_of
+from agent.commissioning.numerics.motion.selection import Choice, Selector
 from agent.commissioning.progress import Progress, on_terminal
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recording_summary import Material
-from agent.commissioning.tuning import GRAPH_ROUNDS, LEAST_WINDOWS, LISTED_GRAPHS, SHORTEST_PIECE, SMALL, TINY
+from agent.commissioning.tuning import (
+    GRAPH_ROUNDS,
+    LEAST_WINDOWS,
+    LISTED_GRAPHS,
+    SHORTEST_PIECE,
+    SMALL,
+    TIE,
+    TINY,
+)
 from agent.config import MechanicsModel, RigConfig, load
 from agent.errors import Fault, ModelError, RecordingError, UsageError
-from agent.numerics.identification.pooled import costs_of
-from agent.numerics.identification.selection import Choice, Selector
-from agent.numerics.identification.tuning import TIE
 from agent.runtime.assembly.model_check import model_faults
 
 Begin = Callable[[RigConfig, Sequence[Recorded]], RigConfig]

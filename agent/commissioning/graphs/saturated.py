@@ -6,10 +6,10 @@ from itertools import combinations
 import numpy as np
 
 from agent.commissioning.identification.graph import elements_of, mechanics, with_blanks
+from agent.commissioning.numerics.motion.start import still
+from agent.commissioning.numerics.motion.weak_form import Sensing
 from agent.config import MechanicsModel, RigConfig
 from agent.config.model.tables import GROUND, Element
-from agent.numerics.identification.start import still
-from agent.numerics.identification.weak_form import Sensing
 from agent.types import FloatArray
 
 KINDS = {"spring": "k", "damper": "B"}

@@ -4,10 +4,10 @@ import numpy as np
 
 from agent.commissioning.identification.found import Found, Rival
 from agent.commissioning.identification.graph import mechanics
+from agent.commissioning.numerics.motion.start import hidden
 from agent.commissioning.tuning import INSEPARABLE, PULLED, UNEXPLAINED, VAGUE
 from agent.config import MechanicsModel, RigConfig
 from agent.errors import Fault
-from agent.numerics.identification.start import hidden
 from agent.text import percent, with_sd
 from agent.types import BoolArray
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 from agent.blocks.rig_model import RigModel
 from agent.commissioning.explained import Explained
+from agent.commissioning.numerics.motion.pooled import Pooled
 from agent.config import RigConfig
-from agent.numerics.identification.pooled import Pooled
 from agent.numerics.model.uncertain import Constant
 from agent.types import BoolArray, FloatArray
 

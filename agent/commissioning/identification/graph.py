@@ -5,9 +5,9 @@ from typing import Any
 from agent.blocks.friction import mechanics_of
 from agent.blocks.rig_model import rig_model
 from agent.commissioning.nominals import with_nominals
+from agent.commissioning.numerics.motion.start import hidden
 from agent.config import MechanicsModel, RigConfig
 from agent.errors import ModelError
-from agent.numerics.identification.start import hidden
 from agent.numerics.model.mechanics import MassSpringDamper
 
 

@@ -14,12 +14,12 @@ from agent.commissioning.identification.material import noise_of_sensors
 from agent.commissioning.identification.rivals import rival_of
 from agent.commissioning.identification.windows import pool, window_length
 from agent.commissioning.nominals import with_nominals
+from agent.commissioning.numerics.motion.pooled import Pooled
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.commissioning.recorded_windows import helping
 from agent.commissioning.tuning import VAGUE
 from agent.config import MechanicsModel, RigConfig
-from agent.numerics.identification.pooled import Pooled
 from agent.numerics.model.uncertain import Constant
 from agent.types import FloatArray
 

@@ -7,11 +7,11 @@ import numpy as np
 from agent.blocks.rig_model import rig_model
 from agent.commissioning.identification.found import Rival
 from agent.commissioning.identification.windows import windowed
+from agent.commissioning.numerics.motion.pooled import Pooled, another
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.commissioning.tuning import APART_SD, APART_SHARE, EVIDENCE
 from agent.config import RigConfig
-from agent.numerics.identification.pooled import Pooled, another
 from agent.numerics.model.holds import straight
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Model, discretise, simulate

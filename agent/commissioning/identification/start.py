@@ -9,14 +9,14 @@ from agent.commissioning.identification.graph import mechanics
 from agent.commissioning.identification.material import noise_of_sensors, pieces_of
 from agent.commissioning.identification.windows import first_window_length, pool, window_length
 from agent.commissioning.nominals import with_nominals
+from agent.commissioning.numerics.motion.exact_response import others_near, refined
+from agent.commissioning.numerics.motion.response import fitted, measured
+from agent.commissioning.numerics.motion.start import hidden, rests, start, still
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.commissioning.tuning import GROWTH, LEAST_START
 from agent.config import RigConfig
 from agent.errors import ModelError, RecordingError
-from agent.numerics.identification.exact_response import others_near, refined
-from agent.numerics.identification.response import fitted, measured
-from agent.numerics.identification.start import hidden, rests, start, still
 from agent.numerics.model.holds import straight
 from agent.numerics.model.mechanics import MassSpringDamper
 from agent.runtime.assembly.model_check import model_faults

@@ -9,6 +9,7 @@ from agent.blocks.rig_model import rig_model
 from agent.blocks.statistical_rig import estimator_settings
 from agent.commissioning.explained import windows_of
 from agent.commissioning.identification.material import no_piece, noise_of_sensors
+from agent.commissioning.numerics.motion.pooled import Pooled, pooled
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Recorded
 from agent.commissioning.tuning import (
@@ -21,7 +22,6 @@ from agent.commissioning.tuning import (
 )
 from agent.config import RigConfig
 from agent.numerics.estimator.settings import EstimatorSettings
-from agent.numerics.identification.pooled import Pooled, pooled
 from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.inference.tuning import SIGMA_SPREAD_UNSTATED
 from agent.numerics.model.holds import straight

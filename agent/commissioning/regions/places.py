@@ -11,7 +11,7 @@ from agent.blocks.rig_model import RigModel
 from agent.commissioning.tuning import BEYOND_BOX, DRAWN_POINTS, GRID
 from agent.config import RigConfig
 from agent.errors import UsageError
-from agent.numerics.model.region import Measure, radius_of_model, radius_of_observer
+from agent.numerics.paper.region import Measure, radius_of_model, radius_of_observer
 from agent.storage.read import queries
 from agent.types import ComplexArray, FloatArray
 

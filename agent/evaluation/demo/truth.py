@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from agent.blocks.rig_model import RigModel, hop_plan, rig_model
+from agent.commissioning.numerics.information import bound_sd, window_information
 from agent.config import RigConfig
-from agent.numerics.fitting.information import bound_sd, window_information
 from agent.numerics.model.holds import straight
 from agent.numerics.model.statespace import discretise
 from agent.runtime.sources import wire_steps

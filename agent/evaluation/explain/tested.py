@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.config import Alarm
 from agent.evaluation.explain.recompute import Recomputed
-from agent.numerics.exceedance import Deviations
+from agent.reference.exceedance import Deviations
 from agent.types import EstimateBatch, Reason, Status, Verdict
 
 

@@ -12,8 +12,8 @@ from agent.evaluation.paper.figures import draw, new_figure
 from agent.evaluation.paper.methods import product_rows, seed_settings, valid_changes
 from agent.evaluation.paper.text import in_range, least_lower_rows, matrices, observer_poles, table
 from agent.evaluation.tuning import PASSES, WINDOW
-from agent.numerics.model.margins import condition_3, condition_8
 from agent.numerics.model.statespace import discretise
+from agent.numerics.paper.margins import condition_3, condition_8
 from agent.numerics.paper.seed_window import SeedFit, fit_passes
 from agent.types import FloatArray
 

@@ -83,22 +83,27 @@ class Bank:
 
         due: sample whose row is learnt from next, which may move the point: many hops behind it wait.
         """
-        stream, plan = self._stream, self._settings.plan
-        if stream is None or self.point is None:
+        if self._stream is None:
             return None
-        batch = stream.rows()
-        if not len(batch.index):
-            stop = min(record.stop, self._fed + self._units * plan.hop + plan.window)
-            if self._fed <= due < stop - UNITS_WAIT * plan.hop:
-                stop = -(-(due + 1) // plan.hop) * plan.hop
-            if stop <= self._fed:
+        while (batch := self._stream.next()) is None:
+            if not self._feed(self._stream, record, due):
                 return None
-            samples = record.samples_with_slopes if self.point.slopes else record.samples
-            stream.append(self._fed, samples(self._fed, stop), self._lost_until(record, stop))
-            self._fed = stop
-            batch = stream.rows()
-        self._units = min(UNITS_GROWTH * self._units, UNITS_MOST)
+            self._units = min(UNITS_GROWTH * self._units, UNITS_MOST)
         return batch
+
+    def _feed(self, stream: Stream, record: Record, due: int) -> bool:
+        """Give the stream some hops of samples; return whether any waited."""
+        plan, point = self._settings.plan, self.point
+        assert point is not None  # noqa: S101 - where there is a stream there is a point
+        stop = min(record.stop, self._fed + self._units * plan.hop + plan.window)
+        if self._fed <= due < stop - UNITS_WAIT * plan.hop:
+            stop = -(-(due + 1) // plan.hop) * plan.hop
+        if stop <= self._fed:
+            return False
+        samples = record.samples_with_slopes if point.slopes else record.samples
+        stream.append(self._fed, samples(self._fed, stop), self._lost_until(record, stop))
+        self._fed = stop
+        return True
 
     def _lost_until(self, record: Record, stop: int) -> Lost:
         """Return the lost readings of the heads and the rests of hops that are whole by sample `stop`."""

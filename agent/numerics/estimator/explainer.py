@@ -18,7 +18,7 @@ from agent.numerics.estimator.faults import Faults
 from agent.numerics.estimator.memory import from_text, to_text
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.schedule import Disturbance, Schedule, samples_an_evaluation
+from agent.numerics.estimator.schedule import Budget, Disturbance, Schedule, samples_an_evaluation
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.tuning import (
     LEAST_WINDOWS,
@@ -30,7 +30,6 @@ from agent.numerics.estimator.tuning import (
     VERDICT_WINDOWS,
     WHOLE,
 )
-from agent.numerics.fitting.work import Budget
 from agent.numerics.inference import tuning
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.posterior import Knowledge, Posterior

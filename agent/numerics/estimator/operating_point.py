@@ -15,9 +15,9 @@ from agent.numerics.inference.posterior import Knowledge, Posterior, shifted
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.model.uncertain import CURVED, Rig, Sampled, delays_of, sampled
+from agent.numerics.model.uncertain import CURVED, Rig, Sampled, columns_of, delays_of, gains_of, sampled
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
-from agent.types import FloatArray, IntArray
+from agent.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,19 +114,8 @@ class _Seen:
     """The sampled model as it is seen through gains at η."""
 
     def __init__(self, rig: Rig, eta: FloatArray, at: Sampled) -> None:
-        self.rig, self.late, self.curve = rig, at.late, at.curve
-        outputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "output"}
-        inputs = {c.number: np.exp(eta[i]) for i, c in enumerate(rig.constants) if c.kind == "input"}
-        p = len(rig.model.continuous(rig.model.nominal).C)
-        self.output_gain = np.array([outputs.get(r, 1.0) for r in range(p)])
-        self.input_gain = np.ones(at.B.shape[1])
-        for number, gain in inputs.items():
-            self.input_gain[self._columns_of(number)] = gain
-
-    def _columns_of(self, number: int) -> IntArray:
-        """The columns of inputs that hold readings of a measured one, or their slopes."""
-        taps = self.rig.taps_of(number)
-        return np.append(taps, len(self.rig.measured) + taps) if self.late is not None else taps
+        self.rig, self.at = rig, at
+        self.output_gain, self.input_gain = gains_of(rig, eta, at)
 
     def model(
         self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
@@ -147,14 +136,14 @@ class _Seen:
         if constant.kind == "output":
             dC[constant.number], dD[constant.number] = C[constant.number], D[constant.number]
         elif constant.kind == "input":
-            columns = self._columns_of(constant.number)
+            columns = columns_of(self.rig, constant.number, self.at)
             dB[:, columns], dD[:, columns] = B[:, columns], D[:, columns]
-        elif self.curve is not None and constant.number == CURVED:
+        elif (curve := self.at.curve) is not None and constant.number == CURVED:
             n = len(A)
-            dC = self.output_gain[:, None] * self.curve[:, :n]
-            dD = self.output_gain[:, None] * self.curve[:, n:] * self.input_gain
-        elif self.late is not None:
-            late = self.late[constant.number] * self.input_gain[m:]
+            dC = self.output_gain[:, None] * curve[:, :n]
+            dD = self.output_gain[:, None] * curve[:, n:] * self.input_gain
+        elif self.at.late is not None:
+            late = self.at.late[constant.number] * self.input_gain[m:]
             dB[:, m:] = late[: len(A)]
             dD[:, m:] = self.output_gain[:, None] * late[len(A) :]
         return dA, dB, dC, dD
@@ -165,12 +154,6 @@ def _combined(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     parts = zip(*constants, strict=True)
     return tuple(np.tensordot(direction, np.stack(part), 1) for part in parts)  # type: ignore[return-value]
-
-
-def _own(known: Knowledge, posterior: Posterior) -> FloatArray:
-    """(q,) the parameters' own sd, constants given and without widening."""
-    wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
-    return np.asarray(posterior.sd_repeat / np.sqrt(wider))
 
 
 def _directions(rig: Rig, known: Knowledge) -> FloatArray:
@@ -184,7 +167,7 @@ def _directions(rig: Rig, known: Knowledge) -> FloatArray:
 def _shape(known: Knowledge, posterior: Posterior, wider: FloatArray) -> Shape:
     """Return the shape of the mixture in the window that was learnt from."""
     by_constants = np.sqrt(((posterior.sensitivity @ _root(known.constants.standing[1])) ** 2).sum(axis=1))
-    own = _own(known, posterior) * np.sqrt(wider)
+    own = posterior.sd_repeat / np.sqrt(wider) * np.sqrt(wider)  # what it was, but for rounding
     size = np.maximum(by_constants, 1e-6 * own)
     centre = (0.5 * (posterior.lower + posterior.upper) - posterior.linear) / size
     half = 0.5 * (posterior.upper - posterior.lower) / NORMAL_975

@@ -1,4 +1,7 @@
-"""Rows of estimates with status and reason, one a hop."""
+"""Rows of estimates with status and reason, one a hop.
+
+Of several windows each estimate is of the shortest one sharp enough, among those that hold no change.
+"""
 
 from dataclasses import dataclass, fields, replace
 from itertools import chain
@@ -9,9 +12,11 @@ from numpy.typing import NDArray
 
 from agent.numerics.estimator.faults import Finding
 from agent.numerics.estimator.reading import Reading
+from agent.numerics.estimator.settings import EstimatorSettings
+from agent.numerics.inference import tuning
 from agent.numerics.inference.posterior import Posterior
 from agent.numerics.inference.verdicts import Belief
-from agent.types import CodeArray, FloatArray, IntArray, Reason, Status, WindowConditions
+from agent.types import BoolArray, CodeArray, FloatArray, IntArray, Reason, Status, WindowConditions
 
 EVENTS = ("beliefs", "findings", "failures", "conditions")
 """Fields of `Outcome` that tell of the whole call, beside its columns."""
@@ -141,6 +146,46 @@ class Outcome:
         """Return rows [start, stop)."""
         others = tuple(other.part(start, stop) for other in self.others)
         return replace(self, others=others, **{name: getattr(self, name)[start:stop] for name in _columns()})
+
+
+def clean(found: Reading, index: IntArray, broken: BoolArray, ended: IntArray) -> tuple[IntArray, BoolArray]:
+    """Rows (k,) of a longer window's readings, and which of these hold no change that a shorter one saw.
+
+    ended (N,): where the last stretch of broken rows before each row ended.
+    """
+    at = np.searchsorted(index, found.index)
+    use = at < len(index)
+    use[use] &= ~broken[at[use]]
+    use &= (found.excess < tuning.MISMATCH_SD) & ~found.unsolved
+    use[use] &= found.index[use] - found.samples >= ended[at[use]]
+    return at, use
+
+
+def chosen(
+    rows: Outcome,
+    longer: list[Reading | None],
+    broken: BoolArray,
+    ended: IntArray,
+    settings: EstimatorSettings,
+) -> Outcome:
+    """Take each estimate from the shortest window that is sharp enough, among those that hold no change.
+
+    What each window says by itself stands in `others`.
+    """
+    each = [rows.copy()]
+    for found in longer:
+        each.append(Outcome.warming(rows.index, settings.rig.q))
+        if found is None:
+            continue
+        at, use = clean(found, rows.index, broken, ended)
+        use &= ~found.far
+        wanting = ~(rows.sd[at[use]] <= settings.wanted_sd) & (found.sd[use] < rows.sd[at[use]])
+        rows.take(at[use], wanting, found, use, settings.enough_sd)
+        whole = at < len(rows.index)
+        each[-1].take(at[whole], np.ones_like(found.sd[whole], dtype=bool), found, whole, settings.enough_sd)
+        for unusable in at[whole & ~use].tolist():
+            each[-1].invalidate(unusable, Reason.CHANGING)
+    return replace(rows, others=tuple(each))
 
 
 def _columns() -> list[str]:

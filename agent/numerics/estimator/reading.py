@@ -15,13 +15,13 @@ from agent.numerics.estimator.tuning import (
     FARTHEST_SD,
     FLAT,
     POORER,
-    SINGULAR,
 )
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise.state import chance, louder
 from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
+from agent.numerics.window.solve import inverse
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -77,9 +77,9 @@ def read(
     c = normal.H.shape[1]
     prior = np.concatenate([np.full(q, FLAT), np.ones(c - q)])
     M = normal.H + np.diag(prior)
-    covariance = _inverse(M)
+    covariance = inverse(M)
     d = np.einsum("nij,nj->ni", covariance, normal.g)
-    given = covariance if c == q else _inverse(M[:, :q, :q])
+    given = covariance if c == q else inverse(M[:, :q, :q])
     own = np.diagonal(given, axis1=1, axis2=2)
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
     by_constants = point.unit * np.sqrt(
@@ -129,8 +129,3 @@ def _found(windowed: Windowed, d: FloatArray, covariance: FloatArray) -> dict[in
         answers[asked.index] = Found(tuple(places), asked.value + asked.slope @ d[i], spread, asked.sd)
     return answers
 
-
-def _inverse(M: FloatArray) -> FloatArray:
-    d = 1.0 / np.sqrt(np.maximum(np.diagonal(M, axis1=1, axis2=2), 1e-300))
-    scaled = M * d[:, :, None] * d[:, None, :] + SINGULAR * np.eye(M.shape[1])
-    return np.asarray(np.linalg.inv(scaled) * d[:, :, None] * d[:, None, :])

@@ -10,7 +10,6 @@ LONGEST beyond that.
 from dataclasses import dataclass
 
 from agent.numerics.estimator import tuning
-from agent.numerics.fitting.work import Budget
 
 
 @dataclass(slots=True)
@@ -87,6 +86,46 @@ class Disturbance:
         """Note a row that holds."""
         if self.onset is not None:
             self.onset, self.ended = None, index
+
+
+class Budget:
+    """A token bucket: work that may be begun now, counted in samples, so that live and replay stay equal.
+
+    What is begun is finished, and may leave a debt that the samples to come pay first; so what N samples
+    spend is at most capital + once + rate N and what was begun last, whatever a rig asks for.
+
+    Args:
+        capital: what there is at first, and what may be saved up at most.
+        rate: what each sample adds.
+        once: what there is at first beyond the capital.
+    """
+
+    def __init__(self, capital: float, rate: float, once: float = 0.0) -> None:
+        self._capital, self._rate = capital, rate
+        self._left = capital + once
+        self._index = 0
+        self._closed = False
+
+    @property
+    def closed(self) -> bool:
+        """Whether nothing is allowed any more."""
+        return self._closed
+
+    def allows(self, index: int) -> bool:
+        """Tell whether work may begin at sample number `index`."""
+        if index > self._index:
+            saved = min(self._left + self._rate * (index - self._index), self._capital)
+            self._left = max(self._left, saved)
+            self._index = index
+        return self._left > 0 and not self._closed
+
+    def spend(self, work: float) -> None:
+        """Take out what was done."""
+        self._left -= work
+
+    def close(self) -> None:
+        """Allow nothing any more: there is no time for anything but rows."""
+        self._closed = True
 
 
 def samples_an_evaluation(window: int, period_s: float) -> float:

@@ -17,14 +17,12 @@ from agent.numerics.estimator.doubts import Found
 from agent.numerics.estimator.explainer import Explainer
 from agent.numerics.estimator.look_ahead import LookAhead, Ready
 from agent.numerics.estimator.operating_point import OperatingPoint, taps_of
-from agent.numerics.estimator.outcome import Outcome
+from agent.numerics.estimator.outcome import Outcome, chosen, clean
 from agent.numerics.estimator.reading import Reading, read
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.schedule import budget_of
+from agent.numerics.estimator.schedule import Budget, budget_of
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.tuning import FAR_SD, FARTHEST_SD, MOST_LOST, RETRY, TRIES
-from agent.numerics.estimator.windows import chosen, clean
-from agent.numerics.fitting.work import Budget
 from agent.numerics.inference import tuning
 from agent.numerics.window.rows import BankRows, Windowed
 from agent.types import BoolArray, FloatArray, IntArray, Reason

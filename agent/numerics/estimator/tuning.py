@@ -36,7 +36,6 @@ FARTHEST_SD = 5.0  # the same where better windows placed the point: what chance
 POORER = 2.0  # times the sd of the sharpest windows that makes a window poorer than what placed the point
 EVEN = 0.1  # skewness of an interval, in sds, that is not kept
 FLAT = 1e-6  # prior precision of a parameter in units of its size: within a thousand times itself
-SINGULAR = 1e-13  # added to unit diagonals: what nothing shows has no sd to speak of, the others theirs
 # record.py
 SPARE = 8192  # samples beyond those kept that may wait before the oldest are let go
 PLACES = 8  # samples of a window that are looked at before all of them are

@@ -1,5 +1,1 @@
-"""One window fitted alone, for questions before or beside the estimates.
-
-What is wired, scaled or delayed wrongly, how far two sources are apart in time, and the least that anybody
-could know.
-"""
+"""One window fitted alone, beside the estimates: how late a source is, what is wired wrongly."""

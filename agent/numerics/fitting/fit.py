@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.fitting.tuning import FARTHEST, GREATEST, HALVINGS, PUSHED_STEPS
-from agent.numerics.fitting.work import WORK
+from agent.numerics.fitting.tuning import EVALUATION, FARTHEST, GREATEST, HALVINGS, PUSHED_STEPS
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import Bins
 from agent.numerics.inference.spectral.columns import Regressor, Window
@@ -22,24 +21,26 @@ from agent.types import ComplexArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class Problem:
-    """What windows are fitted with.
+class FittedModel:
+    """A rig's model as windows are fitted with it.
 
     Attributes:
         model: parametric model; its inputs are the windows' inputs.
         period_s, hold: of the sampled model.
-        sigma: (p,) sensor sds.
         push: (n, d) directions in which unknown forces push the state.
-        scale, lower: (q,) size and lower bound of each parameter.
+        sigma: (p,) sd of each output's noise, NaN where it is not known.
+        scale, lower: (q,) size and lower bound of each parameter; an offset's size, NaN, is that of a column
+            of outputs and inputs, `scale_column` (q,).
     """
 
     model: Model
     period_s: float
     hold: Hold
-    sigma: FloatArray
     push: FloatArray
+    sigma: FloatArray
     scale: FloatArray
     lower: FloatArray
+    scale_column: IntArray | None = None
 
     @property
     def rig(self) -> Rig:
@@ -51,43 +52,19 @@ class Problem:
         q = len(self.model.parameters)
         return Rig(self.model, q, every, driven, none, (), self.period_s, self.hold, self.scale, self.lower)
 
-
-@dataclass(frozen=True, slots=True)
-class FittedModel:
-    """A rig's model as readings of it are fitted: all of a `Problem` that does not depend on them.
-
-    Attributes:
-        model: the rig's.
-        period_s, hold: of the sampled model.
-        push: (n, d) directions in which unknown forces push the state.
-        sigma: (p,) sd of each output's noise, NaN where it is not known.
-        scale, lower: (q,) size and bound of each parameter; an offset's size, NaN, is that of a column of
-            outputs and inputs, `scale_column` (q,).
-    """
-
-    model: Model
-    period_s: float
-    hold: Hold
-    push: FloatArray
-    sigma: FloatArray
-    scale: FloatArray
-    scale_column: IntArray | None
-    lower: FloatArray
-
     def with_more(self, model: Model, scale: FloatArray, lower: FloatArray) -> "FittedModel":
         """Return this of a model with k further parameters, of sizes and bounds (k,)."""
         column = self.scale_column
         if column is not None:
             column = np.append(column, np.zeros(len(scale), dtype=np.int64))
         return replace(
-            self, model=model, scale=np.append(self.scale, scale), scale_column=column,
-            lower=np.append(self.lower, lower),
+            self, model=model, scale=np.append(self.scale, scale), lower=np.append(self.lower, lower),
+            scale_column=column,
         )  # fmt: skip
 
-    def problem(self, sigma: FloatArray, columns: FloatArray) -> Problem:
-        """Return what columns (N, p + m), outputs first, are fitted with under sensor sds (p,)."""
-        size = _sizes(self.scale, self.scale_column, columns)
-        return Problem(self.model, self.period_s, self.hold, sigma, self.push, size, self.lower)
+    def of(self, sigma: FloatArray, columns: FloatArray) -> "FittedModel":
+        """Return this with sensor sds (p,), and offsets of the size of columns (N, p + m), outputs first."""
+        return replace(self, sigma=sigma, scale=_sizes(self.scale, self.scale_column, columns))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,33 +97,48 @@ class _Point:
     left: FloatArray
 
 
+@dataclass(slots=True)
+class Work:
+    """Work done so far in this process, in samples of normal work; its growth is what was done meanwhile."""
+
+    done: int = 0
+
+    def evaluate(self, samples: int) -> None:
+        """Count an evaluation of observer and sensitivities over a window of so many samples."""
+        self.done += EVALUATION + samples
+
+
+WORK = Work()
+"""Global, so that what counts it need not be handed through every fit."""
+
+
 def fit_window(
-    problem: Problem, window: Window, theta: FloatArray, max_steps: int = 20, tolerance: float = 1e-4
+    fitted: FittedModel, window: Window, theta: FloatArray, max_steps: int = 20, tolerance: float = 1e-4
 ) -> WindowFit:
     """Fit a window from theta (q,); tolerance: step, in sds, below which it has come to rest.
 
     Raises ValueError or LinAlgError where the model is no number at theta, or grows beyond all bounds.
     """
     near = theta
-    if problem.push.size:
-        near, _ = _descended(problem, window, theta, PUSHED_STEPS, 1.0, pushed=True)
-    found, converged = _descended(problem, window, near, max_steps, tolerance, pushed=False)
-    at = _linearised(problem, window, found, pushed=False)
+    if fitted.push.size:
+        near, _ = _descended(fitted, window, theta, PUSHED_STEPS, 1.0, pushed=True)
+    found, converged = _descended(fitted, window, near, max_steps, tolerance, pushed=False)
+    at = _linearised(fitted, window, found, pushed=False)
     covariance = at.covariance * np.outer(at.unit, at.unit)
     return WindowFit(found, covariance, at.left, at.cost, converged)
 
 
 def _descended(
-    problem: Problem, window: Window, theta: FloatArray, steps: int, tolerance: float, *, pushed: bool
+    fitted: FittedModel, window: Window, theta: FloatArray, steps: int, tolerance: float, *, pushed: bool
 ) -> tuple[FloatArray, bool]:
     """Return where Gauss-Newton ends, and whether it came to rest there."""
-    at = _linearised(problem, window, theta, pushed=pushed)
+    at = _linearised(fitted, window, theta, pushed=pushed)
     for _ in range(steps):
         at = _anchored(at, theta) if pushed else at
         sd = np.sqrt(np.maximum(np.diag(at.covariance), 0.0))
         if np.all(np.abs(at.step) <= tolerance * sd):
             return at.theta, True
-        better = _better(problem, window, at, pushed=pushed)
+        better = _better(fitted, window, at, pushed=pushed)
         if better is None:
             # no step leaves less: round-off, or as near as the linearisation can tell
             return at.theta, bool(np.all(np.abs(at.step) <= np.maximum(sd, 1e-9)))
@@ -164,12 +156,12 @@ def _anchored(at: _Point, anchor: FloatArray) -> _Point:
     return replace(at, step=step, covariance=covariance)
 
 
-def _better(problem: Problem, window: Window, at: _Point, *, pushed: bool) -> _Point | None:
+def _better(fitted: FittedModel, window: Window, at: _Point, *, pushed: bool) -> _Point | None:
     """Return the point after a step, halved until it leaves less; None where none does."""
     step = at.step / max(1.0, float(np.max(-at.step / FARTHEST)), float(np.max(at.step / (2 * FARTHEST))))
     for _ in range(HALVINGS):
-        moved = np.maximum(at.theta + at.unit * step, problem.lower)
-        there = _attempted(problem, window, moved, pushed=pushed)
+        moved = np.maximum(at.theta + at.unit * step, fitted.lower)
+        there = _attempted(fitted, window, moved, pushed=pushed)
         # the forces' share of what is left depends on theta: steps are not compared by it
         if there is not None and (pushed or there.cost < at.cost):
             return there
@@ -177,20 +169,20 @@ def _better(problem: Problem, window: Window, at: _Point, *, pushed: bool) -> _P
     return None
 
 
-def _attempted(problem: Problem, window: Window, theta: FloatArray, *, pushed: bool) -> _Point | None:
+def _attempted(fitted: FittedModel, window: Window, theta: FloatArray, *, pushed: bool) -> _Point | None:
     """Return the point at theta; None where the model is no number there."""
     try:
-        return _linearised(problem, window, theta, pushed=pushed)
+        return _linearised(fitted, window, theta, pushed=pushed)
     except (ValueError, np.linalg.LinAlgError):
         return None
 
 
-def _linearised(problem: Problem, window: Window, theta: FloatArray, *, pushed: bool) -> _Point:
+def _linearised(fitted: FittedModel, window: Window, theta: FloatArray, *, pushed: bool) -> _Point:
     WORK.evaluate(window.length)
-    rig = problem.rig
+    rig = fitted.rig
     response = _response(rig, window, theta)
-    cells = Cells(response, _directions(problem, response, window, pushed=pushed), np.ones((0, 0)))
-    Si = inverse_of(_covariance(problem, cells))
+    cells = Cells(response, _directions(fitted, response, window, pushed=pushed), np.ones((0, 0)))
+    Si = inverse_of(_covariance(fitted, cells))
     regressor = Regressor(rig, response, (), np.zeros(0))
     regression = regressor.build(window, lambda X: cells.gram(Si, X), np.zeros(0, dtype=np.int64))
     G = cells.gram(Si, regression.X)
@@ -212,21 +204,21 @@ def _response(rig: Rig, window: Window, theta: FloatArray) -> Response:
     return Response(model, Bins(window.length, window.length // 2 + 1))
 
 
-def _covariance(problem: Problem, cells: Cells) -> ComplexArray:
+def _covariance(fitted: FittedModel, cells: Cells) -> ComplexArray:
     """Return S (C, p, p): sensor noise and what forces add."""
     S = cells.D @ cells.D.conj().transpose(0, 2, 1)
-    every = range(len(problem.sigma))
-    S[:, every, every] += problem.sigma**2
+    every = range(len(fitted.sigma))
+    S[:, every, every] += fitted.sigma**2
     return np.asarray(S)
 
 
-def _directions(problem: Problem, response: Response, window: Window, *, pushed: bool) -> ComplexArray:
+def _directions(fitted: FittedModel, response: Response, window: Window, *, pushed: bool) -> ComplexArray:
     """Return (C, p, d) what forces add to the outputs, each as much as these hold; nothing if not pushed."""
     if not pushed:
-        return np.zeros((len(response.z), len(problem.sigma), 0), dtype=complex)
-    H = response.CR @ (problem.period_s * problem.push)
-    seen = float(np.sum((window.y / problem.sigma) ** 2))
-    each = np.einsum("k,kpd,p->d", response.weight, np.abs(H) ** 2, problem.sigma**-2.0)
+        return np.zeros((len(response.z), len(fitted.sigma), 0), dtype=complex)
+    H = response.CR @ (fitted.period_s * fitted.push)
+    seen = float(np.sum((window.y / fitted.sigma) ** 2))
+    each = np.einsum("k,kpd,p->d", response.weight, np.abs(H) ** 2, fitted.sigma**-2.0)
     return np.asarray(H * np.sqrt(seen / np.maximum(each, 1e-300)))
 
 

@@ -166,16 +166,16 @@ class SkewMeter:
         columns = np.hstack([y[1:-1], u[1:-1], rates])
         delayed = DelayedModel(rig.model, self.groups, signals)
         widened = rig.with_more(delayed, np.full(g, DELAY_SCALE_S), np.full(g, -np.inf))
-        problem = widened.problem(self._noise(y), columns)
+        fitted = widened.of(self._noise(y), columns)
         fit = fit_window(
-            problem, window_of(columns[:, :p], columns[:, p:]), np.concatenate([theta, np.zeros(g)])
+            fitted, window_of(columns[:, :p], columns[:, p:]), np.concatenate([theta, np.zeros(g)])
         )
         unknowns = len(theta) + g + len(rig.model.state_names)
         variance = fit.cost / max(columns[:, :p].size - unknowns, 1)
         delay_variance = np.diag(fit.covariance)[-g:] * variance
         sd = np.sqrt(np.where(delay_variance > 0, delay_variance, np.inf))
         motion = (
-            float(np.sum(((columns[:, :p] - columns[:, :p].mean(axis=0)) / problem.sigma) ** 2)) - fit.cost
+            float(np.sum(((columns[:, :p] - columns[:, :p].mean(axis=0)) / fitted.sigma) ** 2)) - fit.cost
         )
         moves = motion > MOTION_SEEN * unknowns * variance
         return _Turn(fit.theta[-g:], sd, fit.theta[:-g], fit.converged and moves, float(np.sqrt(variance)))

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.numerics.model.statespace import Discrete, Hold, StateSpace, exponential_with_derivatives
+from agent.numerics.model.statespace import Discrete, Hold, StateSpace, chained
 from agent.types import FloatArray
 
 _TAPS: Final[dict[Hold, tuple[int, ...]]] = {
@@ -58,11 +58,11 @@ def sample(continuous: StateSpace, period_s: float, hold: Hold) -> Tapped:
     """Sample a continuous model exactly, derivatives included, for any hold."""
     offsets = taps(hold)
     weights = _derivative_weights(offsets)
-    A, dA, G, dG = _chain(continuous, period_s, len(offsets))
+    A, dA, G, dG = chained(continuous, period_s, len(offsets))
     # B_o = sum_j weights[o, j] G_j
     columns = len(offsets) * continuous.m
     B = np.einsum("oj,jnm->nom", weights, G).reshape(continuous.n, columns)
-    dB = np.einsum("oj,qjnm->qnom", weights, dG).reshape(continuous.q, continuous.n, columns)
+    dB = np.einsum("oj,jqnm->qnom", weights, dG).reshape(continuous.q, continuous.n, columns)
     D, dD = _direct(continuous.D, offsets), _direct(continuous.dD, offsets)
     return Tapped(StateSpace(A, B, continuous.C, D, dA, dB, continuous.dC, dD), offsets, period_s)
 
@@ -101,22 +101,6 @@ def _derivative_weights(offsets: tuple[int, ...]) -> FloatArray:
         lagrange = polynomial.polyfromroots(others) / np.prod([float(o - other) for other in others])
         rows.append([factorial(j) * c for j, c in enumerate(lagrange)])
     return np.array(rows)
-
-
-def _chain(
-    continuous: StateSpace, period_s: float, length: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A, dA and what the input's derivatives (length, n, m) at a sample's start lead to at its end."""
-    n, m, q = continuous.n, continuous.m, continuous.q
-    size = n + length * m
-    generator, directions = np.zeros((size, size)), np.zeros((q, size, size))
-    generator[:n, :n], directions[:, :n, :n] = continuous.A * period_s, continuous.dA * period_s
-    generator[:n, n : n + m], directions[:, :n, n : n + m] = continuous.B * period_s, continuous.dB * period_s
-    generator[n : size - m, n + m :] = np.eye(size - n - m)
-    found, derivatives = exponential_with_derivatives(generator, directions)
-    G = found[:n, n:].reshape(n, length, m).transpose(1, 0, 2)
-    dG = derivatives[:, :n, n:].reshape(q, n, length, m).transpose(0, 2, 1, 3)
-    return found[:n, :n], derivatives[:, :n, :n], G, dG
 
 
 def _direct(D: NDArray[np.float64], offsets: tuple[int, ...]) -> FloatArray:

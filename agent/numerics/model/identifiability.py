@@ -10,8 +10,9 @@ sections 4.5 and 13.4), and every model costs the same few milliseconds whatever
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import matrix_balance, qr
+from scipy.linalg import qr
 
+from agent.numerics.model.observer import balanced
 from agent.numerics.model.statespace import Model, StateSpace, modes
 from agent.numerics.model.tuning import ANGLE, HALF_RATE, SILENT, TOLERANCE
 from agent.types import ComplexArray, FloatArray
@@ -27,17 +28,10 @@ class Identifiability:
         silent: numbers of the parameters that leave no trace.
         blends: (k, q) changes of several parameters that together leave no trace, in the parameters' units,
             each scaled so that its largest share of `scale` is 1.
-        smallest: the least singular value over the largest, silent parameters left out.
     """
 
     silent: tuple[int, ...]
     blends: FloatArray
-    smallest: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether every parameter can be told from all others."""
-        return not self.silent and not len(self.blends)
 
 
 def identifiability(model: Model, measured: int, scale: FloatArray) -> Identifiability:
@@ -56,26 +50,25 @@ def identifiability(model: Model, measured: int, scale: FloatArray) -> Identifia
 def assess(model: StateSpace, measured: int, scale: FloatArray) -> Identifiability:
     """Judge one continuous-time model; arguments as for `identifiability`."""
     if not model.q:
-        return Identifiability((), np.zeros((0, 0)), 1.0)
+        return Identifiability((), np.zeros((0, 0)))
     jacobian, size = _jacobian(_balanced(model), measured)
     lengths = np.linalg.norm(jacobian, axis=0)
     received = lengths > SILENT * size
     silent = tuple(np.flatnonzero(~received).tolist())
     if not received.any():
-        return Identifiability(silent, np.zeros((0, model.q)), 1.0)
+        return Identifiability(silent, np.zeros((0, model.q)))
     _, values, vectors = np.linalg.svd(jacobian[:, received] / lengths[received], full_matrices=False)
     null = np.zeros((int(np.sum(values < TOLERANCE * values[0])), model.q))
     null[:, received] = vectors[len(values) - len(null) :] / lengths[received]
-    return Identifiability(silent, readable_blends(null, scale, lengths), float(values[-1] / values[0]))
+    return Identifiability(silent, readable_blends(null, scale, lengths))
 
 
 def _balanced(model: StateSpace) -> StateSpace:
     """Return the model with states and time scaled so that rows and columns of A weigh alike."""
-    balanced, (scale, _) = matrix_balance(model.A, permute=False, separate=True)
-    T = np.asarray(scale, dtype=float)
+    A, T = balanced(model.A)
     similarity = T[None, :] / T[:, None]
     return StateSpace(
-        np.asarray(balanced, dtype=float), model.B / T[:, None], model.C * T, model.D,
+        A, model.B / T[:, None], model.C * T, model.D,
         model.dA * similarity, model.dB / T[:, None], model.dC * T, model.dD, model.is_sampled,
     )  # fmt: skip
 

@@ -4,7 +4,6 @@ The observer is the paper's (2): x(k+1) = A x + B u + L (y - C x - D u), with L 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,8 +15,12 @@ from agent.types import FloatArray
 NO_GAIN = "no stabilising observer gain: the outputs do not show a mode that does not decay"
 
 
-def poles_gain(model: StateSpace, poles: Sequence[complex], period_s: float) -> FloatArray:
+def poles_gain(
+    model: StateSpace, poles: Sequence[complex], period_s: float, outputs: Sequence[int] | None = None
+) -> FloatArray:
     """Return L (n, p) that puts the observer's poles at exp(s T) for each continuous pole s (1/s).
+
+    outputs: numbers of those that the observer corrects itself by; None for all of them.
 
     Raises ValueError when there are not n poles or they cannot be placed.
     """
@@ -26,11 +29,14 @@ def poles_gain(model: StateSpace, poles: Sequence[complex], period_s: float) -> 
     if len(poles) != model.n:
         raise ValueError(f"{len(poles)} poles for {model.n} states; give {model.n}")
     placed = np.exp(np.asarray(poles) * period_s)
-    return np.ascontiguousarray(place_poles(model.A.T, model.C.T, placed).gain_matrix.T)
+    rows = list(range(model.p) if outputs is None else outputs)
+    gain = np.zeros((model.n, model.p))
+    gain[:, rows] = place_poles(model.A.T, model.C[rows].T, placed).gain_matrix.T
+    return gain
 
 
-def _unit_gain(A: FloatArray, C: FloatArray, process: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return L (n, p) and S (p, p) for outputs C (p, n) of any kind, in units of their own noise."""
+def _unit_gain(A: FloatArray, C: FloatArray, process: FloatArray) -> FloatArray:
+    """Return L (n, p) for outputs C (p, n) of any kind, in units of their own noise."""
     P = steady_covariance(A, C, process)
     if P is None:
         raise ValueError(NO_GAIN)
@@ -38,58 +44,29 @@ def _unit_gain(A: FloatArray, C: FloatArray, process: FloatArray) -> tuple[Float
     L = np.linalg.solve(S, C @ P @ A.T).T
     if not (np.all(np.isfinite(L)) and spectral_radius(A - L @ C) < 1.0):
         raise ValueError(NO_GAIN)
-    return np.asarray(L, dtype=np.float64), np.asarray(0.5 * (S + S.T), dtype=np.float64)
+    return np.asarray(L, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """The disturbances of a rig.
-
-    Attributes:
-        sigma: (p,) standard deviation of each output's white noise.
-        process: (d,) standard deviation of the unknown force in each direction, constant over a sample,
-            white.
-    """
-
-    sigma: FloatArray
-    process: FloatArray
-
-    @property
-    def forced(self) -> bool:
-        """Whether any unknown force is assumed."""
-        return bool(np.any(self.process > 0))
-
-
-@dataclass(frozen=True, slots=True)
-class Gain:
-    """An observer gain L (n, p) and the whitening (p, p) that makes its innovations unit noise."""
-
-    L: FloatArray
-    whitening: FloatArray
-
-
-def plain_gain(L: FloatArray, sigma: FloatArray) -> Gain:
-    """Return a gain whose innovations are weighed by the sensors' noise alone."""
-    return Gain(L, np.diag(1.0 / sigma))
-
-
-def matched_gain(discrete: Discrete, disturbance: FloatArray, noise: Noise) -> Gain:
-    """Return the steady-state Kalman gain of a rig's disturbances and the whitening of its innovations.
+def matched_gain(
+    discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, process: FloatArray
+) -> FloatArray:
+    """Return the steady-state Kalman gain L (n, p) of a rig's disturbances.
 
     Args:
         discrete: the sampled model.
         disturbance: (n, d) how a force in each direction pushes the state, a second.
-        noise: the disturbances.
+        sigma: (p,) standard deviation of each output's white noise.
+        process: (d,) standard deviation of the unknown force in each direction, constant over a sample,
+            white.
 
     Raises ValueError when the Riccati equation has no stabilising solution.
     """
-    push = disturbance * noise.process * discrete.period_s
-    C = discrete.model.C / noise.sigma[:, None]
+    push = disturbance * process * discrete.period_s
+    C = discrete.model.C / sigma[:, None]
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # a force beyond all numbers has no gain, which is said below
-        L, S = _unit_gain(discrete.model.A, C, push @ push.T)
-    return Gain(L / noise.sigma, np.asarray(np.linalg.inv(np.linalg.cholesky(S)) / noise.sigma))
+        return _unit_gain(discrete.model.A, C, push @ push.T) / sigma
 
 
 def start_gain(discrete: Discrete, disturbance: FloatArray, sigma: FloatArray, window: int) -> FloatArray:
@@ -121,8 +98,8 @@ def _searched(
     trials: dict[float, tuple[float, FloatArray | None]] = {}
 
     def forgets(exponent: float) -> bool:
-        noise = Noise(sigma, np.full(pushes.shape[1], 10.0**exponent * unit))
-        trials[exponent] = _tried(discrete, pushes, noise)
+        process = np.full(pushes.shape[1], 10.0**exponent * unit)
+        trials[exponent] = _tried(discrete, pushes, sigma, process)
         return trials[exponent][0] < target
 
     exponents = np.arange(WEAKEST, STRONGEST + STRIDE, STRIDE).tolist()
@@ -136,10 +113,12 @@ def _searched(
     return trials[high][1]
 
 
-def _tried(discrete: Discrete, pushes: FloatArray, noise: Noise) -> tuple[float, FloatArray | None]:
+def _tried(
+    discrete: Discrete, pushes: FloatArray, sigma: FloatArray, process: FloatArray
+) -> tuple[float, FloatArray | None]:
     """Return the observer's spectral radius with the matched gain, and the gain; inf and None without one."""
     try:
-        gain = matched_gain(discrete, pushes, noise).L
+        gain = matched_gain(discrete, pushes, sigma, process)
     except ValueError:
         return np.inf, None
     return spectral_radius(discrete.model.A - gain @ discrete.model.C), gain
@@ -156,7 +135,7 @@ def unobservable_states(continuous: StateSpace, names: Sequence[str], tolerance:
     """
     rates = continuous.A - np.eye(continuous.n) if continuous.is_sampled else continuous.A
     speed = max(float(np.max(np.abs(np.linalg.eigvals(rates)), initial=0.0)), 1e-300)
-    A, scale = _balanced(rates / speed)
+    A, scale = balanced(rates / speed)
     C = continuous.C * scale
     norms = np.linalg.norm(C, axis=1, keepdims=True)
     hidden = _kernel(C / np.where(norms > 0, norms, 1.0), tolerance)
@@ -176,9 +155,9 @@ def _kernel(matrix: FloatArray, tolerance: float) -> FloatArray:
     return np.asarray(vectors[rank:].T, dtype=np.float64)
 
 
-def _balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return A scaled by a diagonal similarity so rows and columns weigh alike, and the (n,) scaling of C."""
+def balanced(A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return A (n, n) scaled by a diagonal similarity so that rows and columns weigh alike, and the scale."""
     from scipy.linalg.lapack import dgebal  # scipy's matrix_balance imports masked arrays, which take 1 MB
 
-    balanced, _, _, scale, _ = dgebal(A, scale=1, permute=0)
-    return np.asarray(balanced), np.asarray(scale)
+    alike, _, _, scale, _ = dgebal(A, scale=1, permute=0)
+    return np.asarray(alike), np.asarray(scale)

@@ -149,25 +149,13 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     if hold in ("cubic", "quintic"):
         raise ValueError(f'hold "{hold}" takes readings yet to come: use holds.sample')
     if continuous.is_sampled:
-        return _as_given(continuous, period_s)
+        return _unshifted(continuous, period_s)
     if hold == "euler":
         return _euler(continuous, period_s)
-    n, m = continuous.n, continuous.m
-    size = n + 2 * m
-    generator = np.zeros((size, size))
-    generator[:n, :n] = continuous.A * period_s
-    generator[:n, n : n + m] = continuous.B * period_s
-    generator[n : n + m, n + m :] = np.eye(m)
-    directions = np.zeros((continuous.q, size, size))
-    directions[:, :n, :n] = continuous.dA * period_s
-    directions[:, :n, n : n + m] = continuous.dB * period_s
-    exponential, derivatives = exponential_with_derivatives(generator, directions)
-    A, dA = exponential[:n, :n], derivatives[:, :n, :n]
-    G1, dG1 = exponential[:n, n : n + m], derivatives[:, :n, n : n + m]
-    ramp, d_ramp = exponential[:n, n + m :], derivatives[:, :n, n + m :]
+    A, dA, (G1, ramp), (dG1, d_ramp) = chained(continuous, period_s, 2)
     # a zero hold needs no shift
-    B1 = ramp if hold == "first" else np.zeros((n, m))
-    dB1 = d_ramp if hold == "first" else np.zeros((continuous.q, n, m))
+    B1 = ramp if hold == "first" else np.zeros_like(ramp)
+    dB1 = d_ramp if hold == "first" else np.zeros_like(d_ramp)
     B0, dB0 = G1 - B1, dG1 - dB1
     C, dC = continuous.C, continuous.dC
     model = StateSpace(
@@ -177,7 +165,27 @@ def discretise(continuous: StateSpace, period_s: float, hold: Hold = "first") ->
     return Discrete(model, B1, dB1, ramp, d_ramp, period_s)
 
 
-def exponential_with_derivatives(
+def chained(
+    continuous: StateSpace, period_s: float, length: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what a sample makes of the state and of the input's first derivatives at its start, in samples.
+
+    A (n, n) and dA (q, n, n); what each of `length` derivatives, the input itself first, leads to at the
+    sample's end, (length, n, m) and by every parameter (length, q, n, m).
+    """
+    n, m, q = continuous.n, continuous.m, continuous.q
+    size = n + length * m
+    generator, directions = np.zeros((size, size)), np.zeros((q, size, size))
+    generator[:n, :n], directions[:, :n, :n] = continuous.A * period_s, continuous.dA * period_s
+    generator[:n, n : n + m], directions[:, :n, n : n + m] = continuous.B * period_s, continuous.dB * period_s
+    generator[n : size - m, n + m :] = np.eye(size - n - m)
+    found, derivatives = _exponential_with_derivatives(generator, directions)
+    G = found[:n, n:].reshape(n, length, m).transpose(1, 0, 2)
+    dG = derivatives[:, :n, n:].reshape(q, n, length, m).transpose(2, 0, 1, 3)
+    return found[:n, :n], derivatives[:, :n, :n], G, dG
+
+
+def _exponential_with_derivatives(
     generator: FloatArray, directions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return exp(X) (s, s), and its derivatives along each direction (q, s, s), by exp([[X, E], [0, X]])."""
@@ -199,10 +207,6 @@ def _euler(continuous: StateSpace, period_s: float) -> Discrete:
         dA=period_s * continuous.dA, dB=period_s * continuous.dB, dC=continuous.dC, dD=continuous.dD,
     )  # fmt: skip
     return _unshifted(model, period_s)
-
-
-def _as_given(sampled: StateSpace, period_s: float) -> Discrete:
-    return _unshifted(sampled, period_s)
 
 
 def _unshifted(model: StateSpace, period_s: float) -> Discrete:

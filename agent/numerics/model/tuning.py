@@ -5,20 +5,10 @@ TOLERANCE = 1e-7  # singular values of the Jacobian of unit columns, of the larg
 SILENT = 1e-11  # a column shorter than this share of what its factors could give is no trace but round-off
 ANGLE = 1.0  # rad; of the ray on which s lies, between the real axis and the imaginary (poles)
 HALF_RATE = 2.5  # rad a sample; farthest point of a model in discrete time, below half the rate, pi
-# margins_box.py
-MOST_PARAMETERS = 8  # the polytopic margin has 2^q vertices, each of them a matrix inequality
 # observer.py
-STRICTLY_STABLE = 1.0 - 1e-6  # largest pole radius with which an observer may run on uncorrected
 WEAKEST, STRONGEST, STRIDE = -8.0, 8.0, 2.0
 """Decades of the intensity searched, about that of which the readings show 1 in units of their noise."""
 BISECTIONS = 7  # of a stride: the intensity is found to 4 %
-# region.py
-MOST_VERTICES = 256  # vertices that are all tried; of more, as many drawn at random
-FLIPPED = 6  # of those drawn so many, the worst, are improved
-INSIDE = 32  # points inside the box that are tried
-STARTS = 2  # of the worst points so many are searched from
-OFFSET = 1e-3  # how far inwards from a vertex a measure is looked at, in halves of the box
-SEED = 19  # any does
 # riccati.py
 MOST_STEPS = 60  # doublings: 2^60 samples are more than any rig will see
 SETTLED = 1e-14  # relative change of the covariance at which it has settled

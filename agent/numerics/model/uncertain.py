@@ -295,6 +295,23 @@ def delays_of(rig: Rig, eta: FloatArray) -> FloatArray | None:
     return delays if len(found) else None
 
 
+def gains_of(rig: Rig, eta: FloatArray, at: Sampled) -> tuple[FloatArray, FloatArray]:
+    """Return the gains of outputs (p,) and of inputs (m,), their slopes' among these, at constants (c,)."""
+    outputs, inputs = np.ones(len(at.C)), np.ones(at.B.shape[1])
+    for i, constant in enumerate(rig.constants):
+        if constant.kind == "output":
+            outputs[constant.number] = np.exp(eta[i])
+        elif constant.kind == "input":
+            inputs[columns_of(rig, constant.number, at)] = np.exp(eta[i])
+    return outputs, inputs
+
+
+def columns_of(rig: Rig, number: int, at: Sampled) -> IntArray:
+    """Return the columns of a model's inputs that hold readings of a measured one, or their slopes."""
+    taps = rig.taps_of(number)
+    return np.append(taps, len(rig.measured) + taps) if at.late is not None else taps
+
+
 def _stacked(
     rig: Rig, continuous: StateSpace, model: StateSpace
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

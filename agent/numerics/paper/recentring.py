@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.paper.seed import observe
+from agent.numerics.paper.sensitivity import sensitivity_filter
 from agent.numerics.paper.tuning import DEPENDENT, SLOWEST
 from agent.types import ComplexArray, FloatArray
 
@@ -89,7 +89,7 @@ def _sensitivities(
     model: StateSpace, gain: FloatArray, y: FloatArray, u: FloatArray, x0: FloatArray
 ) -> FloatArray:
     """Return d y_predicted by each parameter (N, p, q), the observer's gain held."""
-    system = sensitivity_filter(model, gain, np.eye(model.p))
+    system = sensitivity_filter(model, gain)
     z = np.concatenate([x0, np.zeros(len(system.F) - model.n)])
     v = np.hstack([y, u])
     rows = np.empty((len(v), len(system.H)))

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import stdtrit
 
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.model.sensitivity import sensitivity_filter
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.statespace import Hold, Model, StateSpace, discretise
 from agent.numerics.paper.conditions import window_conditions
@@ -31,6 +30,7 @@ from agent.numerics.paper.seed import (
     state_batch,
     structured,
 )
+from agent.numerics.paper.sensitivity import sensitivity_filter
 from agent.numerics.paper.tuning import DEVIATIONS, ENOUGH, RUN_AWAY, SLOWEST
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status, WindowConditions
@@ -226,7 +226,7 @@ def innovation_step(
     model: sampled where the passes ended. y (N, p), u (N, m), x0 (n,): the samples that the observer settles
     in, too.
     """
-    system = sensitivity_filter(model, settings.gain, np.eye(model.p))
+    system = sensitivity_filter(model, settings.gain)
     v = np.hstack([y, u])
     z = np.concatenate([x0, np.zeros(len(system.F) - system.n)])
     states = np.empty((len(v), len(system.F)))

@@ -26,21 +26,11 @@ class Line(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """The device's clock gains so many millionths on the gateway's; sd and the 95 % interval in the same."""
+    """The device's clock gains so many millionths on the gateway's, over so many seconds; sd in the same."""
 
     ppm: float
     sd: float
     span_s: float
-
-    @property
-    def lower(self) -> float:
-        """Lower end of the 95 % interval."""
-        return self.ppm - 1.96 * self.sd
-
-    @property
-    def upper(self) -> float:
-        """Upper end of the 95 % interval."""
-        return self.ppm + 1.96 * self.sd
 
 
 @dataclass(slots=True)

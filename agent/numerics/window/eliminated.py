@@ -19,8 +19,7 @@ from agent.numerics.window.jump import Jumps, LostRight
 from agent.numerics.window.lost import Events, Lost
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import Asked, Windowed
-from agent.numerics.window.solve import Solved, Starts, WindowSolver
-from agent.numerics.window.tuning import UNSEEN
+from agent.numerics.window.solve import Solved, Starts, WindowSolver, inverse
 from agent.types import FloatArray, IntArray
 
 UNSOLVED = -1
@@ -136,7 +135,7 @@ def eliminated(
     """Solve one window whose readings in `columns` are unknown."""
     precision = 1.0 / columns.lost.sd**2
     components = columns.U @ solver.directions
-    covariance = _inverse(columns.gram - components @ components.T + np.diag(precision))
+    covariance = inverse(columns.gram - components @ components.T + np.diag(precision))
     value = -covariance @ _projected(solver, solver.solve(summary, starts), columns, components)[:, 0]
     solved = solver.solve(_filled(summary, columns, value), starts)
     cross = _projected(solver, solved, columns, components)
@@ -169,12 +168,6 @@ def _filled(summary: Summary, columns: LostColumnsOfWindow, value: FloatArray) -
     gram[0, 0, 0] += more[0] + value @ columns.gram @ value
     moment[0, 0] += value @ columns.U
     return Summary(gram, moment)
-
-
-def _inverse(M: FloatArray) -> FloatArray:
-    d = 1.0 / np.sqrt(np.maximum(np.diag(M), 1e-300))
-    scaled = M * d[:, None] * d[None] + UNSEEN * np.eye(len(M))
-    return np.asarray(np.linalg.inv(scaled) * d[:, None] * d[None])
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,9 +76,6 @@ class Normal:
     log_det: float
     x0: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.g)
-
 
 @dataclass(frozen=True, slots=True)
 class Solved:
@@ -151,6 +148,14 @@ class WindowSolver:
         gram = summary.gram + half + half.transpose(0, 2, 1)
         normal = Normal(gram[:, 1:, 1:], gram[:, 1:, 0], np.maximum(gram[:, 0, 0], 0.0), self.log_det, x0)
         return Solved(normal, moved)
+
+
+def inverse(M: FloatArray) -> FloatArray:
+    """Return the inverse of positive M (..., k, k): what nothing shows has a huge sd, all else its own."""
+    d = 1.0 / np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), 1e-300))
+    across = d[..., :, None]
+    along = d[..., None, :]
+    return np.asarray(np.linalg.inv(M * across * along + UNSEEN * np.eye(M.shape[-1])) * across * along)
 
 
 def _orthonormal(span: FloatArray) -> tuple[FloatArray, FloatArray, float]:

@@ -1,4 +1,4 @@
-"""The bank over a stream of samples: rows each hop, new operators over the kept samples, bounded memory."""
+"""The bank over a stream of samples: rows each hop, bounded memory."""
 
 from collections.abc import Sequence
 
@@ -14,9 +14,8 @@ from agent.numerics.window.jump import Jumps
 from agent.numerics.window.losses import Losses
 from agent.numerics.window.lost import Lost, Taps
 from agent.numerics.window.operators import Operators
-from agent.numerics.window.rows import BankRows, Windowed, joined
+from agent.numerics.window.rows import BankRows, Windowed
 from agent.numerics.window.solve import Solved, Starts
-from agent.numerics.window.tail import Tail
 from agent.numerics.window.tuning import BATCH, RENEWED, SPARE
 from agent.types import FloatArray, IntArray
 
@@ -26,8 +25,7 @@ class Stream:
 
     The mean of a free mass runs away from what is measured. It is started anew now and then, at the best
     state of the newest longest window: that window's samples are run again, after which everything is as if
-    the stream had begun there. This needs nothing but what a change of operators needs, and no window has two
-    parts.
+    the stream had begun there, and no window has two parts.
 
     Args:
         model, push, noise: see `Operators`.
@@ -44,9 +42,8 @@ class Stream:
     ) -> None:  # fmt: skip
         self.plan = plan
         self._losses = Losses(taps or [[(0, column, 1.0)] for column in range(model.p + model.m)])
-        self._longer = tuple(longer)
-        self._interest = model.q if interest is None else interest
-        self.operators = Operators(model, push, noise, plan, self._longer, self._interest)
+        interest = model.q if interest is None else interest
+        self.operators = Operators(model, push, noise, plan, longer, interest)
         self.start_segment(0)
 
     def start_segment(self, index: int, given: int = -1) -> None:
@@ -76,36 +73,13 @@ class Stream:
         if lost is not None and len(lost):
             self._losses.append(lost)
 
-    def rows(self) -> BankRows:
-        """Return the rows that have fallen due since the last call."""
-        pieces = []
+    def next(self) -> BankRows | None:
+        """Return the next rows that have fallen due; None where more samples must come first."""
         while units := self._ready():
-            piece = self._advance(units)
-            if piece is not None:
-                pieces.append(piece)
-        return joined(pieces, len(self.operators.lengths))
-
-    def restart(self, model: StateSpace, push: Push, noise: NoiseModel, at: int) -> None:
-        """Take new operators and run them over kept samples from number `at` on; rows once given stay given.
-
-        Raises:
-            ValueError: sample `at` is no longer kept.
-            NoSteadyStateError: this noise has no stable predictor; the old operators stay.
-        """
-        hop = -(-at // self.plan.hop)
-        if not self._states.first <= hop <= self._states.stop:
-            raise ValueError(
-                f"sample {at} is not kept: the oldest that operators can start at is {self.oldest}"
-            )
-        operators = Operators(model, push, noise, self.plan, self._longer, self._interest)
-        state = self._mean_from_predictor(hop, operators)
-        self.operators = operators
-        self._begin(hop, state)
-
-    @property
-    def oldest(self) -> int:
-        """Number of the oldest sample that `restart` can begin at."""
-        return self._states.first * self.plan.hop
+            rows = self._advance(units)
+            if rows is not None:
+                return rows
+        return None
 
     def samples(self, start: int, stop: int) -> FloatArray:
         """Return kept samples [start, stop), (N, p+m)."""
@@ -121,16 +95,7 @@ class Stream:
         self._sliding = _sliding(self.operators)
         self._losses.begin(self.operators)
         self._newest_columns: tuple[tuple[int, int], FloatArray] | None = None
-        self._best: FloatArray | None = None  # physical state where the newest longest window starts
-
-    def _mean_from_predictor(self, hop: int, operators: Operators) -> FloatArray:
-        """Return filter states at a hop's start: the predictor's as it was, the mean beside it."""
-        old, new = self.operators.size, operators.size
-        z = np.zeros(new.z)
-        kept = self._states.part(hop, min(hop + 1, self._states.stop))
-        if len(kept):
-            z[: old.n] = z[new.a : new.a + new.n] = kept[0, : old.n]
-        return z
+        self._best = np.zeros(self.operators.size.n)  # physical state where the newest longest window starts
 
     def _ready(self) -> int:
         """Return how many rows can be computed at once from the samples that wait."""
@@ -268,11 +233,43 @@ class Stream:
     def _renew(self) -> None:
         """Start mean and predictor anew at the best state of the newest longest window."""
         hop = self._states.stop - 1 - self.operators.longest
-        z = self._mean_from_predictor(hop, self.operators)
-        if self._best is not None:
-            a, n = self.operators.size.a, self.operators.size.n
-            z[:n] = z[a : a + n] = self._best
+        size = self.operators.size
+        z = np.zeros(size.z)
+        z[: size.n] = z[size.a : size.a + size.n] = self._best
         self._begin(hop, z)
+
+
+class Tail:
+    """Numbered rows of equal width, the oldest of which may be let go.
+
+    Args:
+        first: number of the first row.
+        width: columns.
+    """
+
+    def __init__(self, first: int, width: int) -> None:
+        self.first = first
+        self.stop = first
+        self._table: FloatArray = np.empty((64, width))
+
+    def append(self, rows: FloatArray) -> None:
+        """Add rows (N, width) at the end."""
+        used = self.stop - self.first
+        if used + len(rows) > len(self._table):
+            larger = np.empty((2 * (used + len(rows)), self._table.shape[1]))
+            larger[:used] = self._table[:used]
+            self._table = larger
+        self._table[used : used + len(rows)] = rows
+        self.stop += len(rows)
+
+    def part(self, start: int, stop: int) -> FloatArray:
+        """Return rows [start, stop) by their numbers, as a view."""
+        return self._table[start - self.first : stop - self.first]
+
+    def forget(self, oldest: int) -> None:
+        """Let go of the rows before number `oldest`."""
+        self._table = self.part(oldest, self.stop).copy()
+        self.first = oldest
 
 
 def _sliding(operators: Operators) -> Sliding:

@@ -167,7 +167,7 @@ def fitted_model(config: RigConfig, resolution: FloatArray, lower: FloatArray) -
     scale = np.where(nominal != 0, np.abs(nominal), limited)
     return FittedModel(
         rig.model, 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold),
-        rig.disturbance, known_noise(config, resolution), scale, scale_columns(config, rig), lower,
+        rig.disturbance, known_noise(config, resolution), scale, lower, scale_columns(config, rig),
     )  # fmt: skip
 
 

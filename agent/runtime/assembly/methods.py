@@ -8,14 +8,12 @@ import numpy as np
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.blocks.estimation import Estimation, Labels, Method
 from agent.blocks.friction import signals
-from agent.blocks.rig_model import RigModel, hop_plan, known_noise, longer_windows, observer_gains, rig_model
+from agent.blocks.rig_model import RigModel, hop_plan, longer_windows, observer_gain, rig_model
 from agent.blocks.statistical_rig import estimator_settings
 from agent.config import RigConfig
 from agent.errors import Fault, ModelError
-from agent.numerics.estimator.schedule import budget_of
+from agent.numerics.estimator.schedule import Budget, budget_of
 from agent.numerics.estimator.sliding import SlidingEstimator
-from agent.numerics.fitting.work import Budget
-from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import discretise
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.runtime.assembly.model_check import require_observable
@@ -73,11 +71,8 @@ def _seed(config: RigConfig, rig: RigModel, resolution: FloatArray) -> Method:
     period_s = 1.0 / config.rig.sample_rate_hz
     hold = config.estimator.hold
     sampled = discretise(rig.model.continuous(rig.model.nominal), period_s, hold)
-    noise = known_noise(config, resolution)
-    sigma = np.where(np.isfinite(noise), noise, 1.0)
     plan = hop_plan(config)
-    gains = observer_gains(config, rig, plan.window)
-    gain = gains.start(sampled, Noise(sigma, np.zeros(rig.disturbance.shape[1]))).L
+    gain = observer_gain(config, rig, sampled, resolution)
     enough = config.estimator.resolve * np.where(rig.limits > 0, rig.limits, np.inf)
     limited = np.where(rig.limits > 0, rig.limits, np.nan)
     scale = np.where(rig.model.nominal != 0, np.abs(rig.model.nominal), limited)

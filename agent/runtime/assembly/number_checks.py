@@ -5,13 +5,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from agent.blocks.rig_model import RigModel, hop_plan, known_noise, observer_gains, windows_s
+from agent.blocks.rig_model import RigModel, observer_gain, windows_s
 from agent.config import RigConfig
 from agent.config.rules_estimator import most_samples
 from agent.config.tuning import MOST_GB
 from agent.errors import Fault
 from agent.numerics.model.holds import straight
-from agent.numerics.model.observer import Noise
 from agent.numerics.model.statespace import StateSpace, discretise
 
 T = TypeVar("T")
@@ -54,9 +53,7 @@ def _start(config: RigConfig, rig: RigModel) -> None:
     sampled = discretise(model, 1.0 / config.rig.sample_rate_hz, straight(config.estimator.hold))
     if not _finite(sampled.model):
         raise ValueError(f"sampled at {config.rig.sample_rate_hz:g} Hz the model leaves the numbers")
-    sigma = known_noise(config, np.zeros(len(config.outputs)))
-    noise = Noise(np.where(np.isfinite(sigma), sigma, 1.0), np.zeros(rig.disturbance.shape[1]))
-    observer_gains(config, rig, hop_plan(config).window).start(sampled, noise)
+    observer_gain(config, rig, sampled, np.zeros(len(config.outputs)))
 
 
 def _finite(model: StateSpace) -> bool:

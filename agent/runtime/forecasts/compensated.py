@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from agent.blocks.covariates.compensation import dependences
-from agent.numerics.reference.covariates.dependence import Dependence
-from agent.numerics.reference.covariates.lags import PERIOD_S, newest_period, series
-from agent.numerics.reference.tuning import STRANGE
 from agent.records import Baseline
+from agent.reference.covariates.dependence import Dependence
+from agent.reference.covariates.lags import PERIOD_S, newest_period, series
+from agent.reference.tuning import STRANGE
 from agent.storage.read import baselines, covariates
 from agent.storage.read.covariates import Means
 from agent.storage.read.points import Points

@@ -8,8 +8,7 @@ import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.estimator.schedule import budget_of
-from agent.numerics.fitting.work import Budget
+from agent.numerics.estimator.schedule import Budget, budget_of
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import BoolArray, FloatArray, Reason, Status
 

@@ -17,8 +17,8 @@ import pytest
 from agent.cli.prognosis.fleet import fleet, learn_prior
 from agent.cli.prognosis.trend import Ahead, trend
 from agent.errors import UsageError
-from agent.numerics.reference.covariates.dependence import Dependence, written
 from agent.records import Baseline, CovariateMean, ForecastRecord, ForecastScore
+from agent.reference.covariates.dependence import Dependence, written
 from agent.storage.maintenance import store_baselines
 from agent.storage.read.points import points_of
 from agent.storage.read.tables import table_points

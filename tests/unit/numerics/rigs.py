@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.model.observer import Gain, Noise, matched_gain, plain_gain, poles_gain
-from agent.numerics.model.sensitivity import SensitivityFilter, sensitivity_filter
 from agent.numerics.model.statespace import Discrete, discretise, simulate
 from tests.unit.numerics.paper_rig import rig
 
@@ -63,41 +61,6 @@ def sampled(theta: FloatArray | None = None) -> Discrete:
 def disturbance(model: MassSpringDamper) -> FloatArray:
     masses = np.array([m.value for m in model.structure.masses])
     return np.vstack([np.diag(1 / masses), np.zeros((len(masses), len(masses)))])
-
-
-def zero_gain(discrete: Discrete) -> FloatArray:
-    return np.zeros((discrete.model.n, discrete.model.p))
-
-
-@dataclass(frozen=True)
-class FixedGains:
-    """The same kind of gain from the first sample on."""
-
-    kind: str
-    disturbance: None = None
-
-    def start(self, discrete: Discrete, noise: Noise) -> Gain:
-        return gain_of(self.kind, discrete, float(noise.sigma[0]))
-
-    def settled(self, discrete: Discrete, noise: Noise) -> Gain:
-        return self.start(discrete, noise)
-
-
-def filters(discrete: Discrete, gain: Gain) -> SensitivityFilter:
-    return sensitivity_filter(discrete.model, gain.L, gain.whitening)
-
-
-KINDS = ("zero", "kalman", "poles")
-
-
-def gain_of(kind: str, discrete: Discrete, sigma: float) -> Gain:
-    """Each kind of observer that a configuration may ask for; "kalman" expects 0.5 N on both masses."""
-    noise = np.full(discrete.model.p, sigma)
-    if kind == "zero":
-        return plain_gain(np.zeros((discrete.model.n, discrete.model.p)), noise)
-    if kind == "kalman":
-        return matched_gain(discrete, disturbance(rig()), Noise(noise, np.full(2, 0.5)))
-    return plain_gain(poles_gain(discrete.model, [-45.0, -40.0, -35.0, -30.0], discrete.period_s), noise)
 
 
 def noisy(rng: np.random.Generator, samples: int, sigma: float, theta: FloatArray | None = None) -> Record:

@@ -9,7 +9,7 @@ import numpy as np
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response, end_states
 from agent.numerics.inference.spectral.sources import Source, end_effect
-from agent.numerics.model.uncertain import CURVED, Rig
+from agent.numerics.model.uncertain import CURVED, Rig, columns_of, gains_of
 from agent.types import ComplexArray, FloatArray, IntArray
 
 Weigh = Callable[[ComplexArray], FloatArray]
@@ -166,19 +166,7 @@ class Regressor:
     ) -> None:
         self.rig, self.response, self.lasting = rig, response, lasting
         self._ending = [sources[a] for a in lasting]
-        p = len(response.at.C)
-        m = response.at.B.shape[1]
-        self.output_gain, self.input_gain = np.ones(p), np.ones(m)
-        for i, constant in enumerate(rig.constants):
-            if constant.kind == "output":
-                self.output_gain[constant.number] = np.exp(eta[i])
-            elif constant.kind == "input":
-                self.input_gain[self._columns_of(constant.number)] = np.exp(eta[i])
-
-    def _columns_of(self, number: int) -> IntArray:
-        """The columns of inputs that hold readings of a measured one, or their slopes."""
-        taps = self.rig.taps_of(number)
-        return np.append(taps, len(self.rig.measured) + taps) if self.response.at.late is not None else taps
+        self.output_gain, self.input_gain = gains_of(rig, eta, response.at)
 
     def inputs(self, window: Window) -> FloatArray:
         """Return the inputs (W, m) with gains put right; beside them their slopes, where they may be late."""
@@ -320,7 +308,7 @@ class Regressor:
             if constant.kind == "output":
                 column[:, constant.number] = modelled[:, constant.number]
             elif constant.kind == "input":
-                taps = self._columns_of(constant.number).tolist()
+                taps = columns_of(rig, constant.number, self.response.at).tolist()
                 column = np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
             elif (curve := self.response.at.curve) is not None and constant.number == CURVED:
                 column = np.hstack([X, U]) @ curve.T * self.output_gain

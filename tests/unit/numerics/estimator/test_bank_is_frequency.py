@@ -17,6 +17,7 @@ from agent.numerics.window.lost import Lost
 from agent.numerics.window.stream import Stream
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import knowledge, learner_of
+from tests.unit.numerics.window.bank_rigs import due, joined
 
 FloatArray = NDArray[np.float64]
 WINDOW, HOP, SAMPLES = 240, 40, 1000
@@ -66,7 +67,7 @@ def both(
     pieces = [samples.lost_between(start, start + HOP, WINDOW) for start in range(0, SAMPLES, HOP)]
     given = reduce(Lost.followed, pieces)
     stream.append(0, taken(0, SAMPLES), given)
-    windowed = stream.rows().windows[0]
+    windowed = joined(due(stream)).windows[0]
     assert windowed is not None
     rows = read(windowed, point, WINDOW)
     later = replace(known, constants=known.constants.predicted())

@@ -111,7 +111,6 @@ def test_parallel_springs_are_one_and_the_blend_says_in_which_ratio() -> None:
     k1, k2, k3, B1 = found.blends[0] / found.blends[0][0]
     assert (k2, B1) == (0, 0)
     assert k1 == pytest.approx(-k3, rel=1e-9)
-    assert not found.holds
 
 
 def test_two_separate_faults_are_two_blends() -> None:

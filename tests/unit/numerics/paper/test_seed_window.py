@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from agent.numerics.estimator.outcome import Outcome
-from agent.numerics.model.observer import Noise, matched_gain, poles_gain
+from agent.numerics.model.observer import matched_gain, poles_gain
 from agent.numerics.model.statespace import discretise, simulate
 from agent.numerics.paper.seed_window import SeedSettings, SeedWindow, fit_passes, regression, settling
 from agent.numerics.window.filtering.hops import HopPlan
@@ -98,7 +98,7 @@ def test_seed_window_passes_that_have_not_settled_are_diverged_whatever_their_la
     y, u = forced(rng, 3000)
     y = y + rng.normal(scale=1e-6, size=y.shape)
     discrete = discretise(rig().continuous(NOMINAL), PERIOD, "first")
-    slow = matched_gain(discrete, disturbance(rig()), Noise(np.full(2, 1e-6), np.full(2, 1e-4))).L
+    slow = matched_gain(discrete, disturbance(rig()), np.full(2, 1e-6), np.full(2, 1e-4))
     settings = replace(exact_settings(3), gain=slow, settled=1e-3)
     found = fit_passes(rig(), settings, y, u)
     assert np.any(np.abs(found.theta - TRUE) > 3 * found.sd)

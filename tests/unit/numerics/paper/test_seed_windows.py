@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.numerics.model.gains import PlacedGains
-from agent.numerics.model.observer import Noise
+from agent.numerics.model.observer import poles_gain
 from agent.numerics.model.sensors import Nuisance, SensedModel, with_constant
 from agent.numerics.model.statespace import Model, discretise, simulate
 from agent.numerics.paper.seed import Stopping
@@ -23,7 +22,7 @@ SCALE = np.append(NOMINAL, 1.0)
 def settings(model: Model, passes: int, window: int = 400) -> SeedSettings:
     nominal = discretise(model.continuous(model.nominal), PERIOD, "first")
     leant = (1,) if isinstance(model, SensedModel) else None
-    gain = PlacedGains(POLES, leant).start(nominal, Noise(np.ones(2), np.zeros(0))).L
+    gain = poles_gain(nominal.model, POLES, PERIOD, leant)
     scale = np.abs(model.nominal)
     return SeedSettings(
         PERIOD, HopPlan(window, 200), "first", gain, passes, scale, np.full(len(scale), np.inf)

@@ -1,7 +1,9 @@
 """Rigs of the bank's tests: chains and trees of masses with sensor constants, and records of them."""
 
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import chain, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,4 +97,32 @@ def rows_of(
 ) -> BankRows:
     stream = Stream(rig.model, rig.push, noise, plan, longer, rig.interest)
     stream.append(0, np.hstack(record))
-    return stream.rows()
+    return joined(due(stream))
+
+
+def due(stream: Stream) -> Iterator[BankRows]:
+    """Yield all rows that have fallen due."""
+    while (rows := stream.next()) is not None:
+        yield rows
+
+
+def joined(rows: Iterable[BankRows]) -> BankRows:
+    """Return rows one after the other; there are some."""
+    pieces = list(rows)
+    index = np.concatenate([piece.index for piece in pieces])
+    windows = zip(*(piece.windows for piece in pieces), strict=True)
+    return BankRows(index, tuple(_together([w for w in each if w is not None]) for each in windows))
+
+
+def _together(pieces: Sequence[Any]) -> Any:
+    """Arrays along their first axis, records field by field; of all else the newest, None of nothing."""
+    if not pieces:
+        return None
+    if isinstance(pieces[0], np.ndarray):
+        return np.concatenate(pieces)
+    if not is_dataclass(pieces[0]) or isinstance(pieces[0], type):
+        return pieces[-1]
+    parts = {f.name: [getattr(one, f.name) for one in pieces] for f in fields(pieces[0])}
+    asked = {"asked": tuple(chain.from_iterable(parts.pop("asked")))} if "asked" in parts else {}
+    found = {name: _together([one for one in each if one is not None]) for name, each in parts.items()}
+    return replace(pieces[0], **found, **asked)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import NoiseModel
 from agent.numerics.window.lost import Lost, Taps
-from agent.numerics.window.rows import BankRows, Windowed, joined
+from agent.numerics.window.rows import BankRows, Windowed
 from agent.numerics.window.stream import Stream
-from tests.unit.numerics.window.bank_rigs import BankRig
+from tests.unit.numerics.window.bank_rigs import BankRig, due, joined
 from tests.unit.numerics.window.dense import covariance, free, mean_and_columns
 from tests.unit.numerics.window.test_bank_dense import CASES, prior_of
 
@@ -53,8 +53,8 @@ def rows_with(
     for start in range(0, len(record[0]), portion):
         stop = min(start + portion, len(record[0]))
         stream.append(start, np.hstack(record)[start:stop], lost.between(start, stop))
-        pieces.append(stream.rows())
-    return joined(pieces, 1 + len(longer))
+        pieces += due(stream)
+    return joined(pieces)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """The bank as a stream: isolation of windows, portions, restarts, segments, memory."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +7,9 @@ from numpy.typing import NDArray
 
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import Coloured, NoiseModel
-from agent.numerics.window.rows import BankRows, Windowed, joined
+from agent.numerics.window.rows import BankRows, Windowed
 from agent.numerics.window.stream import Stream
-from tests.unit.numerics.window.bank_rigs import bank_rig, rows_of
+from tests.unit.numerics.window.bank_rigs import bank_rig, due, joined, rows_of
 
 FloatArray = NDArray[np.float64]
 RIG = bank_rig()
@@ -53,8 +52,8 @@ def test_rows_are_the_same_to_the_last_bit_however_samples_arrive(window: int) -
         pieces = []
         for start in range(0, 1500, size):
             stream.append(start, v[start : start + size])
-            pieces.append(stream.rows())
-        portions = joined(pieces, 3)
+            pieces += due(stream)
+        portions = joined(pieces)
         assert np.array_equal(portions.index, whole.index)
         for length in range(3):
             one, other = first(whole, length), first(portions, length)
@@ -76,42 +75,14 @@ def test_rows_fall_due_where_the_plan_says_and_windows_wait_until_they_are_whole
     assert first(rows, 1).index[0] == 172
 
 
-def test_a_restart_gives_the_rows_of_a_stream_that_always_had_these_operators() -> None:
-    v = np.hstack(record(800))
-    other = replace(NOISE, force=np.full(2, 0.05), coloured=())
-    stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
-    stream.append(0, v[:500])
-    before = stream.rows()
-    stream.restart(RIG.model, RIG.push, other, 500 - 133 - 20)
-    stream.append(500, v[500:])
-    after = first(stream.rows())
-    wanted = first(rows_of(RIG, other, PLAN, (), (v[:, :2], v[:, 2:])))
-    assert after.index[0] == before.index[-1] + 20
-    count = len(after.index)
-    assert np.array_equal(after.index, wanted.index[-count:])
-    covariance = np.linalg.inv(wanted.normal.H[-count:] + np.diag([0.0] * 4 + [1e4, 1e6, 1e4]))
-    apart = np.einsum("nij,nj->ni", covariance, after.normal.g - wanted.normal.g[-count:])
-    assert np.max(np.abs(apart) / np.sqrt(np.einsum("nii->ni", covariance))) < 1e-7
-
-
-def test_a_restart_before_the_oldest_kept_sample_is_refused() -> None:
-    v = np.hstack(record(40 * 1600))
-    stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
-    stream.append(0, v)
-    stream.rows()
-    with pytest.raises(ValueError, match="the oldest that operators can start at is"):
-        stream.restart(RIG.model, RIG.push, NOISE, 0)
-    assert 0 < stream.oldest <= 40 * 1600 - 140  # where the window of the next row begins
-
-
 def test_a_new_segment_begins_windows_afresh_at_the_hop_grid() -> None:
     v = np.hstack(record(400))
     stream = Stream(RIG.model, RIG.push, NOISE, PLAN, (), RIG.interest)
     stream.append(0, v[:200])
-    stream.rows()
+    list(due(stream))
     stream.start_segment(207)
     stream.append(207, v[207:])
-    rows = stream.rows()
+    rows = joined(due(stream))
     assert rows.index[0] == 232
     assert first(rows).index[0] == 352
 

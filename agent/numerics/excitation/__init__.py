@@ -1,1 +1,0 @@
-"""Motions that teach most: optimal power over frequencies, and signals of little peak that carry it."""

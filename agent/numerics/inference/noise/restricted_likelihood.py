@@ -147,7 +147,9 @@ class NoiseFit:
         g = np.concatenate([g, more - self._firm @ (now - self._carried)])
         step = bounded(H, g, np.concatenate([np.full(p, -1.0), self._least - now]))
         self.log_sigma = self.log_sigma + np.minimum(step[:p], 1.0)
-        self.intensity[self.there] = np.sqrt(np.minimum(now + step[p:], tuning.GROWTH * now.max()))
+        # beside a large variance the step's bound has no digits left of the least one
+        found = np.clip(now + step[p:], self._least, tuning.GROWTH * now.max())
+        self.intensity[self.there] = np.sqrt(found)
         self.log_sigma_var = np.diag(np.linalg.inv(H))[:p].copy()
         self.information = H[p:, p:] - H[p:, :p] @ np.linalg.solve(H[:p, :p], H[:p, p:])
 

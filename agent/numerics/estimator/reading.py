@@ -128,4 +128,3 @@ def _found(windowed: Windowed, d: FloatArray, covariance: FloatArray) -> dict[in
         spread = asked.covariance + asked.slope @ covariance[i] @ asked.slope.T
         answers[asked.index] = Found(tuple(places), asked.value + asked.slope @ d[i], spread, asked.sd)
     return answers
-

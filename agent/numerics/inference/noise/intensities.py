@@ -95,6 +95,9 @@ class Scan:
         v = self.nodes[a, lo:hi]
         change = (v[:, None] ** 2 - fit.intensity[a] ** 2) * shape
         growth = 1 + change * self.hSh
+        # without nearly all that is there now, the rank-one change has no digits left either
+        bare = growth.min(axis=1) < 1 / FAR_GROWTH
+        growth = np.maximum(growth, 1 / FAR_GROWTH)
         grams = self._changed(change / growth)
         intensity = np.empty((len(v), len(fit.intensity)))
         intensity[:] = fit.intensity
@@ -106,7 +109,7 @@ class Scan:
         M[:, nb, :nb] += fit.b
         M[:, :nb, nb] += fit.b
         # where the source would drown everything the rank-one change has no digits left
-        drowned = grams[:, -1, -1] < DROWNED * fit.G[-1, -1]
+        drowned = bare | (grams[:, -1, -1] < DROWNED * fit.G[-1, -1])
         M[drowned] = self.one
         d = 1.0 / np.sqrt(np.maximum(M.diagonal(axis1=1, axis2=2), 1e-300))
         scaled = M * d[:, :, None] * d[:, None, :] + 1e-12 * self.one

@@ -66,4 +66,3 @@ def test_lower_line_lies_below_every_point_and_touches_two() -> None:
     assert above.min() > -1e-12
     assert (above < 1e-9).sum() == 2
     assert line.slope == pytest.approx(0.5, abs=0.05)
-

@@ -1,6 +1,5 @@
 """The bank as a stream: isolation of windows, portions, restarts, segments, memory."""
 
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

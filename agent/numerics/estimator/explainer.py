@@ -64,6 +64,7 @@ class Explainer:
         self._adopted = False
         self._learnt_at = 0
         self._counted = 0
+        self._owed = False
         self._moves = False
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
 
@@ -193,7 +194,8 @@ class Explainer:
         newest = int(reading.index[i])
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
-        if not self._may_begin(newest):
+        self._owed = not self._may_begin(newest)
+        if self._owed:
             self.schedule.later(newest)
             return False
         moved = self._learnt(record, reading, i, known)
@@ -263,7 +265,7 @@ class Explainer:
     def relinearise(self, record: Record, newest: int) -> bool:
         """Solve a window that is far from the point; the bank goes there if it comes to rest."""
         self.disturbance.tried(newest, self.settings.plan.window)
-        if not self._may_begin(newest):
+        if self._owed or not self._may_begin(newest):
             return False
         solved = self._solve(record, newest)
         self._pay()

@@ -240,7 +240,8 @@ class Constants:
         likelier, since a Gaussian about both would let all constants go.
         """
         stays = (1 - tuning.SWITCH) ** windows
-        stayed, begun = self.after(windows), self._begun
+        stayed = self.after(windows)
+        begun = self._begun
         both = Constants(
             self.hypotheses * 2,
             np.concatenate([stays * stayed.weight, (1 - stays) * begun.weight]),

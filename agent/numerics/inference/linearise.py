@@ -299,7 +299,8 @@ class Lineariser:
         _, _, alone, V, Z = self._anchored(at, known.theta).eliminated
         V = at.repeats * V
         slope = -at.unit[:, None] * Z
-        here, sd = shifted(at.theta + at.unit * alone, slope @ (eta - there)), at.unit * np.sqrt(np.diag(V))
+        here = shifted(at.theta + at.unit * alone, slope @ (eta - there))
+        sd = at.unit * np.sqrt(np.diag(V))
         before = shifted(known.theta, slope @ (eta - known.eta))
         information = inverse(V * np.outer(at.unit, at.unit))
         agree = np.all(np.abs(here - before) < tuning.AGREE_SD * sd)

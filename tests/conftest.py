@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.arithmetic import settled
+from agent.kernels import settled
 
 os.environ.update(settled())
 

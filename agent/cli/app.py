@@ -23,6 +23,7 @@ from agent.cli.commands import (
 )
 from agent.cli.group import CommandGroup
 from agent.cli.terminal.signals import done_when_terminated, release_reload_signal
+from agent.kernels import settled
 
 SECTIONS = {
     "First steps": first_steps.part,
@@ -77,8 +78,7 @@ def _start(
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and leave with its exit code."""
-    # two threads are ten times slower than one on the small products here; numpy reads this at its import
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.update(settled())
     with done_when_terminated():
         from agent.cli.terminal.errors import guarded
 

@@ -4,7 +4,7 @@ names."""
 import os
 import sys
 
-from tests.arithmetic import settled
+from agent.kernels import settled
 
 os.environ.update(settled())
 

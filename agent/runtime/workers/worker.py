@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from agent.clock import monotonic_ns
 from agent.config import RigConfig
+from agent.kernels import settled
 from agent.runtime.process.heartbeats import Thread
 from agent.runtime.results import RunSummary
 from agent.runtime.tuning import SCORE_ADDED
@@ -24,7 +25,6 @@ from agent.runtime.workers.piped import BEGIN, LEFT, RECORDS
 
 _OWN: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 """Variables of the environment that are the agent's alone."""
-_ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 Acts = Mapping[str, Callable[[Any], Any]]
 
@@ -179,7 +179,7 @@ def _log(given: tuple[str, int, str, tuple[Any, ...]]) -> None:
 def _process(handle: int) -> "subprocess.Popen[bytes]":
     """Start a worker whose end of the link has a number; it finds the program where this process found it."""
     environment = {name: value for name, value in os.environ.items() if name not in _OWN}
-    environment = _ONE_THREAD | environment | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment = settled() | environment | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-P", "-m", "agent.runtime.workers.child", str(handle)]
     process = subprocess.Popen(command, pass_fds=(handle,), env=environment, stdin=subprocess.DEVNULL,
                                stdout=subprocess.DEVNULL)  # fmt: skip

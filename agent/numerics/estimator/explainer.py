@@ -64,7 +64,7 @@ class Explainer:
         self._adopted = False
         self._learnt_at = 0
         self._counted = 0
-        self._owed = False
+        self._owed = False  # a window that was due to be learnt from waits for the budget
         self._moves = False
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
 

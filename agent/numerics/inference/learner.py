@@ -101,7 +101,7 @@ class Learner:
             return self._posterior(at, predicted), known
         for _ in range(tuning.ROUNDS):
             noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
-            constants = switched.updated(*self._told(settled, predicted))
+            constants = switched.updated(*self._information(settled, predicted))
             moved = (
                 np.abs(constants.expected - predicted.eta)
                 > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
@@ -236,7 +236,7 @@ class Learner:
         return before, fit
 
     # ------------------------------------------------------------------ what it says
-    def _told(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _information(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Information (c, c) and score (c,) of a window about the constants, and where (c,) it has them."""
         S, g, *_ = at.eliminated
         temper = max(at.repeats, float(np.mean(known.scatter.factor)))
@@ -245,7 +245,7 @@ class Learner:
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
         """Marginal posterior of the parameters over the hypotheses on the constants."""
         if after is None:
-            after = known.constants.updated(*self._told(at, known))
+            after = known.constants.updated(*self._information(at, known))
         _, _, alone, V, Z = at.eliminated
         u = at.unit
         own = np.diag(V)

@@ -43,7 +43,8 @@ def separated(found: Replayed, record: Path, window: int) -> tuple[int, float]:
     ("window_s", "hop_s", "least", "said"),
     [
         (0.03, 0.01, 0.9, {"changing", "mismatch"}),
-        pytest.param(0.015, 0.015, 0.7, {"changing"}, marks=pytest.mark.soak),
+        # 45 samples are too few to tell that a damping changes within them
+        pytest.param(0.015, 0.015, 0.7, set(), marks=pytest.mark.soak),
     ],
 )
 def test_mr_damper_dwells_are_told_apart(

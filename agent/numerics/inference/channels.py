@@ -190,10 +190,8 @@ class ChannelTest:
         for columns, precision, count in options:
             prior = self._prior(at, known, precision, len(columns) - nb)
             rss, _, _ = _fit(at.G[np.ix_([*columns, -1], [*columns, -1])], prior)
-            best = max(
-                best, (-0.5 * rss / _temper(known) - 0.5 * count * np.log(dof), self._excess(rss, dof, known))
-            )
-        return Explanation(None, best[0] - self._spread_of_noise(at), best[1])
+            best = max(best, (self._evidence(at, known, rss, count), self._excess(rss, dof, known)))
+        return Explanation(None, *best)
 
     # ------------------------------------------------------------------ the channels
     def _looked(
@@ -324,7 +322,7 @@ class ChannelTest:
         found = self._under_prior(at, known, (at.unit / sd) ** 2, 1)
         stretched = fault.kind == "gain" and fault.channel < self._learner.p
         volume = float(at.cells.weight.sum() * np.log(abs(1 + fault.size))) if stretched else 0.0
-        return replace(found, fault=_as_read(fault), evidence=found.evidence + volume)
+        return replace(found, fault=_as_read(fault), evidence=found.evidence + volume / _temper(known))
 
     def unbelieved(
         self, window: Window, known: Knowledge, sd: FloatArray, number: int, value: float, usual: float
@@ -375,9 +373,14 @@ class ChannelTest:
         return self._explanation(at, known, rss, count)
 
     def _explanation(self, at: Linearised, known: Knowledge, rss: float, count: int) -> Explanation:
-        dof = self._dof(at)
-        evidence = -0.5 * rss / _temper(known) - 0.5 * count * np.log(dof) - self._spread_of_noise(at)
-        return Explanation(None, evidence, self._excess(rss, dof, known))
+        return Explanation(
+            None, self._evidence(at, known, rss, count), self._excess(rss, self._dof(at), known)
+        )
+
+    def _evidence(self, at: Linearised, known: Knowledge, rss: float, count: int) -> float:
+        """Log likelihood, tempered whole, less what `count` numbers found from the window cost."""
+        likelihood = -0.5 * rss - self._spread_of_noise(at)
+        return likelihood / _temper(known) - 0.5 * count * float(np.log(self._dof(at)))
 
     def _prior(self, at: Linearised, known: Knowledge, precision: FloatArray, more: int) -> _Prior:
         """Prior with θ ~ N(as known, 1/precision), constants as they stand, and so many more flat columns."""

@@ -131,21 +131,23 @@ class Lineariser:
     def _descended(
         self, window: Window, known: Knowledge, jumps: bool, steps: int, given: bool
     ) -> Linearised:
-        """Gauss-Newton from θ_r: until the second-order term that is neglected is small against the sd."""
+        """Gauss-Newton from θ_r, until it is at rest, or its steps hardly shrink."""
         no_cuts = np.zeros(0, dtype=np.int64)
         cuts = self.cuts if jumps else no_cuts
         at = self.point(window, known, known.theta.copy(), cuts)
+        # steps that hardly shrink go along what the constants estimated beside them hide
+        most = np.inf if given else tuning.STEP_RATIO
+        before = np.inf
         for _ in range(steps):
-            delta, sd = self._step(at, known, given)
-            held = (at.theta <= self.rig.lower) & (delta < 0)
-            far = ~held & (np.abs(delta) > np.maximum(sd, np.sqrt(tuning.CURVATURE * sd)))
-            if not far.any():
+            delta, length = self._step(at, known, given)
+            if length <= 1.0:
                 return at
-            if self.evaluations >= self.most:
+            if most * before < length < np.inf or self.evaluations >= self.most:
                 break
             lower = self._lower(window, known, at, delta, given)
             if lower is None:
                 break
+            before = length
             at = self.point(window, known, lower, cuts)
         return replace(at, converged=False)
 
@@ -217,16 +219,24 @@ class Lineariser:
                 ]
         return out @ Si[:kept]
 
-    def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, FloatArray]:
-        """The step (q,), constants estimated beside it or given, and the sd (q,) with them given."""
+    def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, float]:
+        """The step (q,), constants estimated beside it or given, and its length; of one cut short infinite.
+
+        Up to 1 the second-order term that is neglected is small against the sd with the constants given, or
+        what would go further is held at the least that it may be.
+        """
         at = self._anchored(at, known.theta)
         _, _, alone, V, Z = at.eliminated
         sd = np.sqrt(np.diag(V))
         if given:
-            return alone - Z @ (known.constants.expected - known.eta), sd
-        layout, nb = at.regression.layout, at.regression.layout.base
-        step = inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b)
-        return step[layout.psi], sd
+            step = alone - Z @ (known.constants.expected - known.eta)
+        else:
+            layout, nb = at.regression.layout, at.regression.layout.base
+            step = (inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b))[layout.psi]
+        held = (at.theta <= self.rig.lower) & (step < 0)
+        lengths = np.abs(step) / np.maximum(sd, np.sqrt(tuning.CURVATURE * sd))
+        lengths[np.abs(step) > tuning.LONGEST_STEP] = np.inf
+        return step, float(np.max(lengths, where=~held, initial=0.0))
 
     def _anchored(self, at: Linearised, anchor: FloatArray) -> Linearised:
         """A window with the point's own prior on the parameters: what says little of one moves no point far.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agent.numerics.inference.channels import ChannelTest, Contest, Kind
+from agent.numerics.inference.channels import ChannelTest, Contest, Fault, Kind
 from agent.numerics.inference.spectral.columns import Window, window_of
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise, DenseWindow
 from tests.unit.numerics.inference.frequency import W, knowledge, learner_of, record
@@ -120,6 +120,24 @@ def test_evidence_of_a_mended_window_is_that_of_dense_least_squares(masses: int)
     offset = 1e-4 * np.eye(masses)[0]
     whole, mended = both(window), both(replace(window, y=window.y + offset))
     assert mended[0] - whole[0] == pytest.approx(mended[1] - whole[1], rel=1e-4, abs=1e-3)
+
+
+def test_scatter_beyond_the_models_tempers_all_of_an_outputs_evidence() -> None:
+    rig, noise = RIGS[2], noise_of(RIGS[2])
+    learner = learner_of(rig)
+    known = knowledge(learner, noise)
+    judge, sd = ChannelTest(learner), SURE * rig.theta
+    window, *_ = record(rig, np.random.default_rng(6), noise, off=1.0)
+    mended = replace(window, y=window.y * [1.2, 1.0])
+
+    def gains(temper: float) -> float:
+        scattered = replace(known, scatter=replace(known.scatter, within=np.full(4, temper)))
+        at = learner.at_point(window, scattered)
+        whole = judge._under_prior(at, scattered, (at.unit / sd) ** 2, 1)
+        found = judge._under(Fault(0, "gain", 0.2, 0.0), mended, scattered, sd, np.zeros(2))
+        return found.evidence - whole.evidence
+
+    assert gains(6.0) == pytest.approx(gains(1.0) / 6.0, rel=1e-9)
 
 
 def cost(dense: DenseWindow, precision: FloatArray) -> float:

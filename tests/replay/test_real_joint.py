@@ -59,7 +59,7 @@ def slopes(found: FloatArray) -> FloatArray:
     return np.array([1e6 * np.polyfit(x, load, 1)[0] for x, load in found.transpose(0, 2, 1)])
 
 
-@pytest.mark.parametrize(("limit", "latest"), [(10, 35), (20, 10), (30, 10), (40, 10)])
+@pytest.mark.parametrize(("limit", "latest"), [(10, 25), (20, 6), (30, 6), (40, 6)])
 def test_joint_is_alarmed_soon_after_its_stiffness_crosses_a_limit(
     tmp_path: Path, limit: int, latest: int
 ) -> None:
@@ -88,5 +88,7 @@ def test_joint_is_alarmed_soon_after_its_stiffness_crosses_a_limit(
     assert len(late) == 1
     assert -5 <= late[0] <= latest
     assert len(rows) >= 0.95 * len(slope)
-    assert most < 3.0
+    # the loop of the adhesive is no damper's: a delay of a sample or two takes what it cannot, and 1 % of k
+    assert half < 1.5
+    assert most < 4.5
     assert held.mean() >= 0.93

@@ -1,16 +1,17 @@
 """Random rigs that are no chains, right or nearly right: rows stay valid, intervals hold, nobody is accused
 falsely."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 import pytest
 
 from tests.statistical.machine import each, say
-from tests.statistical.nearly_right import Found, hold, together
+from tests.statistical.nearly_right import Found, hold, least, together
 from tests.statistical.random_rigs import DRIVEN, FAULTS, PAIRS, case, play
 
 WINDOWS, RECORDINGS, RIGS = 40, 2, 6
+SHEET_RIGS = 40
 FIRST_SEED = 7000
 KINDS: tuple[tuple[str, ...], ...] = ((), *((kind,) for kind in (*FAULTS, *sorted(DRIVEN))), *PAIRS)
 QUICK = (
@@ -18,6 +19,8 @@ QUICK = (
     (3, ("one mass", "hum"), 20),
     (7502, ("gain drifts",), 40),
     (9127, ("one mass", "one output"), 40),
+    (15004, ("data sheets",), 8),
+    (15007, ("data sheets",), 8),
 )
 """Rigs, by their seeds, what is wrong with them, and windows: of 7502 a row breaks after thirty, of 9127
 belief slides to what is configured after fifteen."""
@@ -46,6 +49,29 @@ def test_random_rigs_that_are_nearly_right_give_valid_rows_that_hold(
     for seed, found in zip(seeds, each(partial(_rig, kinds), seeds), strict=True):
         say(request, f"{name_of(kinds)}, rig {seed}, {RECORDINGS} x {WINDOWS} windows: {found}")
         hold(f"{name_of(kinds)}, rig {seed}", case(seed, kinds), found, 0.5)
+
+
+@pytest.mark.soak
+def test_random_rigs_whose_constants_are_as_their_data_sheets_say_give_intervals_that_hold(
+    request: pytest.FixtureRequest,
+) -> None:
+    """Constants are common to all windows of a rig: intervals hold by rigs, and one in twenty may not."""
+    found = list(each(_of_sheets, range(15000, 15000 + SHEET_RIGS)))
+    cover = sum(f.cover for f in found) / len(found)
+    say(request, f"data sheets, {len(found)} rigs: {100 * cover:.1f} % hold, of {_understood(found)} rows")
+    assert cover >= least(0.93, len(found))
+    assert _understood(found) >= 0.97
+    assert not [f.alarms for f in found if f.alarms]
+    assert not [wrong for f in found if (wrong := f.wrong(frozenset()))]
+
+
+def _understood(found: Sequence[Found]) -> float:
+    """Share of rows that are understood."""
+    return sum(f.understood for f in found) / len(found)
+
+
+def _of_sheets(seed: int) -> Found:
+    return play(seed, ("data sheets",), 0, 10)
 
 
 def _rig(kinds: tuple[str, ...], seed: int) -> Found:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import inverse, log_determinant, root
@@ -55,37 +54,32 @@ class Hypothesis:
 def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses on a rig's constants; those that no data show are within their data sheets.
 
-    A force that is held, or a commanded one that acts late, says nothing of how well all else is known: its
-    hypothesis stands beside each of those. Of a commanded one it stands beside what else may be off, too.
+    When inputs act says nothing of how well masses and gains are known, nor the other way round. What may be
+    off stands beside all else as configured, and beside all else within its data sheet. What drifts stands
+    beside all else as configured: it is seen as a change, which says nothing of a scale. A force that is
+    held, or a commanded one that acts late, stands beside each of the data sheets. Of a commanded one it
+    stands beside what else may be off, too.
     """
-    sheet = np.array([c.sheet for c in constants])
-    shows = np.array([c.shows for c in constants], dtype=bool)
     binary = np.array([c.is_binary for c in constants], dtype=bool)
     apart = np.array([c.apart for c in constants], dtype=bool)
-    quiet = np.diag((tuning.QUIET_WALK * sheet) ** 2)
-    base = [("as configured", _within(sheet, shows, binary, tuning.AS_CONFIGURED), quiet)]
-    base += [
-        (
-            "within data sheet",
-            _within(sheet, shows, binary, factor),
-            np.diag((tuning.SHEET_WALK * np.where(binary, tuning.AS_CONFIGURED, factor) * sheet) ** 2),
-        )
-        for factor in tuning.SHEET_FACTORS
-    ]
-    none = np.zeros(len(constants))
-    share = tuning.PRIOR_HEALTHY / len(base)
-    off = _off(constants)
-    healthy = [Hypothesis(name, none, False, P + _least(sheet), walk, share) for name, P, walk in base]
+    levels = _levels(constants)
+    total = sum(odds for _, odds in levels)
+    every = [_healthy(constants, share, tuning.PRIOR_HEALTHY * odds / total) for share, odds in levels]
+    timely = every[: 1 + len(tuning.SHEET_FACTORS)]
+    usual = [timely[0], timely[1 + tuning.SHEET_FACTORS.index(1.0)]]
     others = []
+    off = _off(constants)
     odds = sum(_odds(walks) for *_, walks in off)
     for name, e, spread, walks in off:
-        beside = healthy if e @ apart else healthy[:1]
-        share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(beside) / len(walks)
-        others += [
-            Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + walk**2 * np.outer(e, e), share)
-            for walk in walks
-            for b in beside
-        ]
+        static = timely if e @ apart else usual
+        share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(walks)
+        for walk in walks:
+            beside = static if walk == 0 else timely[:1]
+            step = walk**2 * np.outer(e, e)
+            others += [
+                Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + step, share / len(beside))
+                for b in beside
+            ]
     commanded = [(e, spread) for _, e, spread, _ in off if e @ (apart & ~binary)]
     both = [
         replace(
@@ -95,18 +89,45 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
         for h in others
         if not h.members @ e
     ]
-    return tuple(healthy + others + both)
+    return tuple(every + others + both)
 
 
-def _within(
-    sheet: FloatArray, shows: NDArray[np.bool_], binary: NDArray[np.bool_], factor: float
-) -> FloatArray:
-    """Covariance of constants within a factor of their data sheets; those no data show stay at theirs.
+def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
+    """Shares (c,) of their data sheets within which constants may be, and prior odds; inputs in time first.
 
     What is so or not of a force is a hypothesis of its own: in these it runs as configured.
     """
-    share = np.where(binary, tuning.AS_CONFIGURED, np.where(shows, factor, 1.0))
-    return np.diag((share * sheet) ** 2)
+    timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
+    binary = np.array([c.is_binary for c in constants], dtype=bool)
+    late = any(c.kind == "delay" and c.shows and not c.is_binary and c.sheet > 0 for c in constants)
+    times = ((tuning.AS_CONFIGURED, 1.0), (1.0, tuning.PRIOR_LATE))
+    factors = [
+        (f, tuning.PRIOR_WIDER if f > 1 else 1.0) for f in (tuning.AS_CONFIGURED, *tuning.SHEET_FACTORS)
+    ]
+    # what comes along with a delay is open as wide where inputs may be late as where they are
+    along = np.array([tuning.OFF_DELAY / max(c.sheet, 1e-9) * _comes_along(c) for c in constants])
+    return [
+        (
+            np.where(
+                binary,
+                np.maximum(tuning.AS_CONFIGURED, along * (time == 1.0)),
+                np.where(timed, time, factor),
+            ),
+            odds * likely,
+        )
+        for time, odds in times[: 1 + late]
+        for factor, likely in factors
+    ]
+
+
+def _healthy(constants: tuple[Constant, ...], share: FloatArray, prior: float) -> Hypothesis:
+    """All constants within shares (c,) of their data sheets; those no data show are at theirs."""
+    sheet = np.array([c.sheet for c in constants])
+    shows = np.array([c.shows for c in constants], dtype=bool)
+    name = "as configured" if share.max(initial=0.0) <= tuning.AS_CONFIGURED else "within data sheet"
+    covariance = np.diag((np.where(shows, share, 1.0) * sheet) ** 2) + _least(sheet)
+    walk = np.diag((tuning.QUIET_WALK * sheet) ** 2)
+    return Hypothesis(name, np.zeros(len(sheet)), False, covariance, walk, prior)
 
 
 def _least(sheet: FloatArray) -> FloatArray:
@@ -212,18 +233,26 @@ class Constants:
         first = Constants.prior(self.hypotheses)
         return replace(self.after(windows), weight=stays * self.weight + (1 - stays) * first.weight)
 
-    def switched(self, windows: float) -> "Constants":
-        """Return what is predicted, each hypothesis as it is likelier: as it stayed, or switched to.
+    def switched(self, windows: float, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
+        """Return what is known after a window so many after the last, over which hypotheses may switch.
 
-        A Gaussian about both would let all constants go.
+        S, g, at: as in `updated`. Each hypothesis is weighed as it stayed and as it was switched to: it
+        begins with its prior, and pays for how wide that is before its odds count. It goes on as it is
+        likelier, since a Gaussian about both would let all constants go.
         """
-        predicted = self.predicted(windows)
-        first = self._begun
         stays = (1 - tuning.SWITCH) ** windows
-        anew = (1 - stays) * first.weight > stays * self.weight
-        mean = np.where(anew[:, None], first.mean, self.mean)
-        covariance = np.where(anew[:, None, None], first.covariance, predicted.covariance)
-        return Constants(self.hypotheses, predicted.weight, mean, covariance)
+        stayed = self.after(windows)
+        begun = self._begun
+        both = Constants(
+            self.hypotheses * 2,
+            np.concatenate([stays * stayed.weight, (1 - stays) * begun.weight]),
+            np.concatenate([stayed.mean, begun.mean]),
+            np.concatenate([stayed.covariance, begun.covariance]),
+        ).updated(S, g, at)
+        count = len(self.hypotheses)
+        weight = both.weight.reshape(2, count)
+        way = np.arange(count) + count * (weight[1] > weight[0])
+        return Constants(self.hypotheses, weight.sum(axis=0), both.mean[way], both.covariance[way])
 
     @property
     def _begun(self) -> "Constants":

@@ -94,14 +94,13 @@ class Learner:
         """
         known = self.lineariser.prepared(window, known)
         predicted = replace(known, constants=known.constants.predicted(later))
-        switched = known.constants.switched(later)
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
         jump, raw, (excess, beyond), *_ = self._tests(at, predicted)
         if (self._jumps(jump) and not believe) or not at.converged:
             return self._posterior(at, predicted), known
         for _ in range(tuning.ROUNDS):
             noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
-            constants = switched.updated(*self._information(settled, predicted))
+            constants = known.constants.switched(later, *self._information(settled, predicted))
             moved = (
                 np.abs(constants.expected - predicted.eta)
                 > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()

@@ -29,14 +29,18 @@ OFF_DELAY = 1.0
 """Prior sd of a delay that is "off", samples. Needed by: held but hold = "first" (half a sample)."""
 DRIFT_WALKS = (0.0007, 0.005)
 """Random walks a window of a gain that "drifts", slowly or fast. Needed by: sensor y1 drifting 5 %."""
-PRIOR_DRIFTS = 0.03
-"""Prior probability that a gain drifts, as a share of that it is off. Needed by: both masses +10 %."""
+PRIOR_DRIFTS = 0.006
+"""Prior probability that a gain drifts, as a share of that it is off. Needed by: not straight."""
 DRIFT_FOLLOWED = 0.2
 """Probability of any drift from which every window is learnt from. Needed by: sensor y1 drifting 5 %."""
 QUIET_WALK = 1e-4
 """Random walk a window of constants that do not drift, in data-sheet sds: keeps covariances from closing."""
 SWITCH = 1e-3
 """Chance a window that another hypothesis on the constants becomes the true one."""
+PRIOR_LATE = 0.03
+"""Prior odds that inputs are as late as their data sheet lets them, against in time. Needed by: not held."""
+PRIOR_WIDER = 0.35
+"""Prior odds that all data sheets are three times too narrow, against as stated. Needed by: one mass +8 %."""
 PRIOR_HEALTHY = 0.7
 """Prior probability that every constant is within its data sheet."""
 
@@ -80,8 +84,6 @@ POINT_SD = 1.5
 """Relative prior sd of the next point about the last. Needed by: standstills in normal operation."""
 POINT_MEMORY = 0.75
 """Share of the last point's information that the next keeps where a window agrees: about four windows."""
-SHEET_WALK = 0.01
-"""Random walk a window of constants within their data sheets, in data-sheet sds. Needed by: y1 drifts."""
 LEAST_CHANGES = 20
 """Sensor-code changes below which a window is a standstill, teaching nothing. Needed by: ECP-210, clamped."""
 STANDSTILL_SD = 4.0

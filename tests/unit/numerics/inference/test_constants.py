@@ -14,11 +14,14 @@ CONSTANTS = (
     Constant("x1", "output", 0, 0.01),
 )
 
+NOTHING = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+"""Information, score and place of a window that tells nothing of three constants."""
+
 
 def problem() -> tuple[np.ndarray, np.ndarray, float]:
     rng = np.random.default_rng(3)
     X, sd = rng.standard_normal((40, 3)), 0.05
-    return X, X @ np.array([0.05, -0.01, 0.0]) + sd * rng.standard_normal(40), sd
+    return X, X @ np.array([0.08, -0.01, 0.0]) + sd * rng.standard_normal(40), sd
 
 
 def test_constants_update_is_the_exact_mixture_posterior() -> None:
@@ -87,14 +90,15 @@ def test_constants_refuted_hypothesis_comes_back_with_its_prior() -> None:
     told = prior.updated(
         np.diag([1e8] * 3), np.array([8e6, 0.0, 0.0]), np.zeros(3)
     )  # m1 8 % off, others right
-    later = told.switched(1.0)
+    later = told.switched(1.0, *NOTHING)
     refuted = told.weight < 0.1 * tuning.SWITCH * prior.weight
     static = refuted & ~np.array([h.drifts for h in prior.hypotheses])
     assert static[0]
-    assert not refuted.all()
+    stays = told.weight > 10 * tuning.SWITCH * prior.weight
+    assert stays.any()
     assert np.all(later.mean[static] == 0.0)
-    assert np.array_equal(later.covariance[static], prior.covariance[static])
-    assert np.array_equal(later.mean[~refuted], told.mean[~refuted])
+    assert later.covariance[static] == pytest.approx(prior.covariance[static])
+    assert np.array_equal(later.mean[stays], told.mean[stays])
     assert later.weight == pytest.approx(told.predicted().weight)
 
 
@@ -103,7 +107,7 @@ def test_constants_gain_that_begins_to_drift_does_so_from_where_it_is_known_to_b
     told = prior.updated(np.diag([1e8] * 3), np.array([0.0, 0.0, 4e6]), np.zeros(3))  # x1 4 % off
     none = Constants(told.hypotheses, np.where([h.drifts for h in told.hypotheses], 0, told.weight),
                      told.mean, told.covariance)  # fmt: skip
-    later = none.switched(1.0)
+    later = none.switched(1.0, *NOTHING)
     x1 = next(i for i, h in enumerate(prior.hypotheses) if h.drifts and h.name == "x1")
     mean, total = none.standing
     assert later.mean[x1] == pytest.approx([0.0, 0.0, mean[2]])
@@ -118,9 +122,20 @@ def test_constants_that_are_all_off_do_not_slide_to_the_narrowest_data_sheets() 
     S = np.diag([1e8, 1e8, 0.0])  # nothing tells of x1
     sds = []
     for _ in range(40):
-        known = known.switched(1.0).updated(S, S @ apart, np.zeros(3))
+        known = known.switched(1.0, S, S @ apart, np.zeros(3))
         sds.append(np.sqrt(known.total[2, 2]))
     assert min(sds) > 0.9 * sds[0]
+
+
+def test_constants_that_are_right_stay_as_well_known_as_they_are() -> None:
+    """A wide hypothesis pays for its width each time that it is switched to, however long a rig runs."""
+    known = Constants.prior(hypotheses_of(CONSTANTS))
+    S = np.diag([1e6, 1e6, 0.0])  # nothing tells of x1, whose interval is that of the hypotheses that stand
+    sds = []
+    for _ in range(1000):
+        known = known.switched(1.0, S, np.zeros(3), np.zeros(3))
+        sds.append(np.sqrt(known.total[2, 2]))
+    assert sds[-1] < 1.05 * sds[2]
 
 
 def test_constants_some_windows_later_are_what_as_many_steps_make_them() -> None:
@@ -147,7 +162,7 @@ def test_a_force_is_held_or_runs_as_configured_however_well_all_else_is_known() 
     late = tuple(Constant("delay", "delay", number, 0.25, apart=number == 1) for number in (0, 1))
     found = hypotheses_of((*CONSTANTS, *late))
     held = [h for h in found if h.members[4]]
-    healthy = [h for h in found if not h.members.any()]
+    healthy = [h for h in found if not h.members.any() and h.covariance[3, 3] < 0.01**2]
     others = np.ix_(range(4), range(4))
     assert all(h.covariance[4, 4] < 0.01**2 for h in found if not h.members[4])
     assert all(h.covariance[4, 4] >= tuning.OFF_DELAY**2 for h in held)
@@ -168,7 +183,7 @@ def test_a_commanded_force_that_acts_late_stands_beside_everything_else() -> Non
     )
     # open together in these, and in no other
     assert all(h.covariance[i, i] >= tuning.OFF_DELAY**2 for h in off for i in (3, 4))
-    assert all(h.covariance[4, 4] < 0.01**2 for h in others)
+    assert all((h.covariance[4, 4] < 0.01**2) == (h.covariance[3, 3] < 0.01**2) for h in others)
     alone = [h for h in off if h.late is None]
     assert len(alone) == 1 + len(tuning.SHEET_FACTORS)
     beside = {(h.name, h.drifts) for h in off if h.late is not None}
@@ -205,3 +220,25 @@ def test_gain_that_creeps_is_said_to_drift() -> None:
         known = known.updated(np.diag(sd**-2.0), found / sd**2, np.zeros(3))
     assert known.drift_probability > 0.9
     assert known.expected[2] == pytest.approx(5e-4 * window, abs=1e-3)
+
+
+def test_inputs_that_act_in_time_do_not_say_that_masses_and_gains_are_exact() -> None:
+    """Their delay is known to a hundredth of its data sheet; one scale that they share is 2.5 % off."""
+    delay = Constant("delay", "delay", 0, 0.25)
+    found = Constants.prior(hypotheses_of((CONSTANTS[0], CONSTANTS[2], delay)))
+    S = 1e6 * np.outer([1.0, -1.0, 0.0], [1.0, -1.0, 0.0]) + np.diag([0.0, 0.0, 1e5])
+    after = found
+    for _ in range(40):
+        after = after.switched(1.0, S, S @ np.array([0.025, 0.0, 0.0]), np.zeros(3))
+    within = sum(w for w, h in zip(after.weight, after.hypotheses, strict=True) if not h.members.any())
+    assert within > 0.7
+
+
+def test_what_may_be_off_stands_beside_constants_that_are_within_their_data_sheets() -> None:
+    """A mass 18 % off and its only sensor 1.5 %: their one scale is as far off as either alone explains."""
+    found = Constants.prior(hypotheses_of((CONSTANTS[0], CONSTANTS[2])))
+    S = 1e8 * np.outer([1.0, -1.0], [1.0, -1.0])
+    after = found.updated(S, S @ np.array([0.163, 0.015]), np.zeros(2))
+    off = np.array([h.name == "m1" for h in after.hypotheses]) & (after.weight >= tuning.STANDING_WEIGHT)
+    sds = np.abs(after.mean[off, 1] - 0.015) / np.sqrt(after.covariance[off, 1, 1])
+    assert sds.min() < 1.96

@@ -37,8 +37,9 @@ QUIET_WALK = 1e-4
 """Random walk a window of constants that do not drift, in data-sheet sds: keeps covariances from closing."""
 SWITCH = 1e-3
 """Chance a window that another hypothesis on the constants becomes the true one."""
-PRIOR_LATE = 0.03
-"""Prior odds that inputs are as late as their data sheet lets them, against in time. Needed by: not held."""
+PRIOR_LATE = 0.002
+"""Prior odds of inputs as late as their data sheet lets them, against in time: half a sample (two sds) is
+named, a tenth of one is not. Needed by: late, hold zero."""
 PRIOR_WIDER = 0.35
 """Prior odds that all data sheets are three times too narrow, against as stated. Needed by: one mass +8 %."""
 PRIOR_HEALTHY = 0.7

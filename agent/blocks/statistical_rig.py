@@ -293,16 +293,26 @@ def _has_known_mass(config: RigConfig) -> bool:
     return any(m.value > 0 and m.name not in wanted for m in config.model.mass)
 
 
+def _is_massless(config: RigConfig) -> bool:
+    """Whether no mass has an inertia, so that springs and dampers alone carry the forces."""
+    return isinstance(config.model, MechanicsModel) and not any(
+        m.value > 0 or m.name in estimated(config) for m in config.model.mass
+    )
+
+
 def _delay_samples(config: RigConfig) -> float:
     """Data-sheet sd of the inputs' delay, samples: 0 beside dry friction, which a delay would look like.
 
-    None of polynomials through more readings either, whose lateness no slope gives.
+    Not stated, it is 0 where no mass is, since nothing tells it from dampers there. None of polynomials
+    through more readings either, whose lateness no slope gives.
     """
     if _has_friction(config) or not config.inputs or config.estimator.hold not in ("first", "zero"):
         return 0.0
     stated = [c.delay_sd_s for c in config.inputs if c.delay_sd_s is not None]
     if stated:
         return max(stated) * config.rig.sample_rate_hz
+    if _is_massless(config):  # to first order a delay does there what a damper does
+        return 0.0
     # where forces are denied, a delay of commands would stand for what the model lacks (ECP-210: m1 -6 %)
     is_denied = _is_white(config) and config.estimator.hold == "zero"
     return 0.0 if is_denied else DELAY_SHEET

@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from agent.blocks.contained_estimator import ContainedEstimator
+from agent.blocks.statistical_rig import statistical_rig
 from agent.config import load
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.runtime.pipeline import Pipeline
@@ -14,6 +16,8 @@ from drivers.port import SampleBlock
 RATE_HZ, CYCLES = 100.0, 200
 STIFFNESS, DAMPING, LOOP = 3.5e7, 1e5, 0.02
 """N/m, N s/m, and the width of the loop that adhesive makes, a share of the largest load."""
+DELAY_SD_S = 0.0025
+"""Stated: of a rig without mass no delay is looked for otherwise, since dampers do the same."""
 EVALUATIONS = 10
 """Of the model a window, at most: 8.3, and 13 where descents creep to their last step."""
 TEXT = f"""
@@ -31,6 +35,7 @@ name = "load"
 quantity = "force"
 at = "m"
 unit = "N"
+delay_sd_s = {DELAY_SD_S}
 [[channel]]
 name = "x"
 quantity = "displacement"
@@ -71,3 +76,13 @@ def test_windows_are_learnt_from_at_the_usual_cost(tmp_path: Path) -> None:
     assert explainer.known is not None
     assert explainer.known.noise.windows > 30
     assert explainer.learner.lineariser.evaluations < EVALUATIONS * explainer.known.noise.windows
+
+
+def test_rig_without_mass_has_no_delay_unless_one_is_stated(tmp_path: Path) -> None:
+    path = tmp_path / "joint.toml"
+    found = []
+    for text in (TEXT, TEXT.replace(f"delay_sd_s = {DELAY_SD_S}\n", "")):
+        path.write_text(text, encoding="utf-8")
+        constants = statistical_rig(load(path)).constants
+        found.append([constant.sheet for constant in constants if constant.kind == "delay"])
+    assert found == [[pytest.approx(DELAY_SD_S * RATE_HZ)] * 2, []]

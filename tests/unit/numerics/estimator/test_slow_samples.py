@@ -83,5 +83,10 @@ def test_spring_that_wears_by_half_is_followed_where_windows_have_few_samples(tm
     status, value, sd = (np.array(part)[250:] for part in zip(*found, strict=True))
     valid = status == Status.VALID
     assert np.mean(valid) >= 0.9
-    assert np.max(np.abs(value / stiffness()[250:] - 1)[valid]) < 0.03
-    assert np.max((sd / value)[valid]) < 0.04
+    error = np.abs(value - stiffness()[250:])
+    assert np.all((error < 1.96 * sd)[valid])
+    # the last ten cycles cost a sixth of k; rows that wait for the budget say how far off they may be
+    ends, shares = np.arange(len(valid)) >= len(valid) - 10, error / stiffness()[250:]
+    assert np.max(shares[valid & ~ends]) < 0.01
+    assert np.max((sd / value)[valid & ~ends]) < 0.02
+    assert np.max(shares[valid]) < 0.05

@@ -2,15 +2,17 @@
 
 import threading
 from collections.abc import Sequence
+from itertools import product
 
 from agent.clock import monotonic_ns
 from agent.commissioning.progress import Progress
 from agent.commissioning.readings import Gathering
-from agent.commissioning.tuning import LISTEN_S, PATIENCE_S, TURN_S
+from agent.commissioning.tuning import ABSENT_S, LISTEN_S, PATIENCE_S, TURN_S
 from agent.config import RigConfig
 from agent.errors import BusError, ConfigError, Fault, UsageError
 from agent.runtime.assembly.source_faults import source_faults
-from agent.runtime.sources import Connection, connect, part
+from agent.runtime.sources import Connection, Use, connect, part
+from drivers.reconnect import LinkEvent
 
 OPEN_ADVICE = "see that it is connected, powered and up, and that no other program holds it"
 
@@ -55,20 +57,26 @@ def _listen(
     """Hand on what arrives until every source has been heard for listen_s, or one stays away."""
     started = monotonic_ns()
     received = set[str]()
+    lost = dict[str, Fault]()
     until = started + round((PATIENCE_S + listen_s) * 1e9)
     complete = False
     while (now := monotonic_ns()) < until:
         progress(f"listening: {(now - started) / 1e9:.0f} s of about {listen_s:.0f} s")
         wake.wait(TURN_S)
         wake.clear()
-        _turn(gathering, connections, received)
+        _turn(gathering, connections, received, lost)
+        # a device may come up while its probe does
+        if lost and monotonic_ns() - started > ABSENT_S * 1e9:
+            raise BusError(list(lost.values()))
         if not complete and len(received) == len(gathering.counts):
             complete = True
             until = monotonic_ns() + round(listen_s * 1e9)
 
 
-def _turn(gathering: Gathering, connections: Sequence[Connection], received: set[str]) -> None:
-    """Hand on what has arrived, in order; note which sources were heard, raise for those that cannot be."""
+def _turn(
+    gathering: Gathering, connections: Sequence[Connection], received: set[str], lost: dict[str, Fault]
+) -> None:
+    """Hand on what has arrived, in order; note which sources were heard, and which cannot be opened."""
     taken = [(connection, *connection.take()) for connection in connections]
     for connection in connections:
         gathering.counts |= {use.source: connection.counts for use in connection.uses if use.columns}
@@ -79,13 +87,16 @@ def _turn(gathering: Gathering, connections: Sequence[Connection], received: set
             if use.columns:
                 received.add(use.source)
                 gathering.take(use.source, part(arrival.block, use.columns), arrival.modulus)
-    lost = [
-        Fault(use.source, event.message, OPEN_ADVICE)
-        for connection, _, events in taken
-        for event in events
-        for use in connection.uses
-        # a covariate that cannot be read is shown as such, and spoils no channel
-        if event.cause == "lost" and use.columns and use.source not in received
-    ]
-    if lost:
-        raise BusError(lost)
+    for connection, _, events in taken:
+        _note(events, connection.uses, lost)
+    for source in received:
+        lost.pop(source, None)
+
+
+def _note(events: Sequence[LinkEvent], uses: Sequence[Use], lost: dict[str, Fault]) -> None:
+    """Note which sources cannot be opened; a covariate that cannot be read spoils no channel."""
+    for event, use in product(events, uses):
+        if event.cause == "lost" and use.columns:
+            lost[use.source] = Fault(use.source, event.message, OPEN_ADVICE)
+        elif event.cause == "recovered":
+            lost.pop(use.source, None)

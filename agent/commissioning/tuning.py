@@ -5,6 +5,7 @@ The tests that need these are tests/unit/commissioning (checks, channels, observ
 
 # ------------------------------------------------------------------ listening to sources
 LISTEN_S = 5.0  # how long is listened, counted from when every source has been heard
+ABSENT_S = 3.0  # how long a source that cannot be opened may take to come up
 PATIENCE_S = 5.0  # how long a source may take until its first sample
 TURN_S = 0.1  # how long is waited for arrivals at a time
 OFF_RATE = 0.02  # share by which samples may come faster or slower than configured

@@ -279,18 +279,13 @@ class Explainer:
         window = self.window(record, newest)[0]
         posterior, theta = self.learner.solve(window, self._known_at(known, newest))
         self._last = (window, posterior)
-        rests = posterior.holds and self._can_be(posterior)
+        rests = posterior.holds
         same = rests and self._is_the_same(posterior)
         if (not same and self._is_a_channel(record, window, newest, theta, rests)) or not rests:
             return None
         self.known = replace(known, theta=theta)
         self._move(record, posterior, newest)
         return posterior
-
-    def _can_be(self, posterior: Posterior) -> bool:
-        """Whether what a window says can be: no parameter is far below the least that it may be."""
-        below = self.settings.rig.lower - posterior.theta
-        return bool(np.all(below < tuning.AGREE_SD * posterior.sd_repeat))
 
     def _is_the_same(self, posterior: Posterior) -> bool:
         """Whether an unbroken window says what the one learnt from last said: only the point was poor."""

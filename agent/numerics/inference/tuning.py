@@ -55,7 +55,7 @@ CUTS = (0.125, 0.375, 0.625, 0.875)
 INFORMATION_LOSS = 0.01
 """Share of any parameter's sd that may be given up by leaving out columns at high frequencies."""
 STEP_RATIO = 0.7
-"""Ratio of steps beyond which they hardly shrink. Needed by: joint 004, whose delay its damper hides."""
+"""Ratio of steps beyond which they hardly shrink. Needed by: a delay that a damper hides, without mass."""
 HALVINGS = 8
 """Most times that a Gauss-Newton step that does not lower the cost is halved. Needed by: EMPS."""
 STEPS = 12

@@ -73,8 +73,8 @@ def test_joint_is_alarmed_soon_after_its_stiffness_crosses_a_limit(
 ) -> None:
     """gain: data sheet of both sensors, %.
 
-    The nominal was read off these very sensors, so that their gains are exact (0); with the usual sheets 1.5 %
-    of k are open against a nominal from elsewhere, which an alarm has to wait for.
+    The nominal was read off these very sensors, so that their gains are exact (0); against one from elsewhere
+    the usual sheets leave 1.5 % of k open, which an alarm has to wait for.
     """
     found = cycles()
     slope = slopes(found)

@@ -17,13 +17,14 @@ KINDS: tuple[tuple[str, ...], ...] = ((), *((kind,) for kind in (*FAULTS, *sorte
 QUICK = (
     (1, ("AR sensors", "one output"), 20),
     (3, ("one mass", "hum"), 20),
+    (7501, ("gain drifts",), 20),
     (7502, ("gain drifts",), 40),
     (9127, ("one mass", "one output"), 40),
     (15004, ("data sheets",), 8),
     (15007, ("data sheets",), 8),
 )
-"""Rigs, by their seeds, what is wrong with them, and windows: of 7502 a row breaks after thirty, of 9127
-belief slides to what is configured after fifteen."""
+"""Rigs, by their seeds, what is wrong with them, and windows: of 7501 each window shows a gain that drifts,
+of 7502 a row breaks after thirty, of 9127 belief slides to what is configured after fifteen."""
 
 
 def name_of(kinds: Iterable[str]) -> str:

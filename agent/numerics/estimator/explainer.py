@@ -219,9 +219,8 @@ class Explainer:
         self._believe(newest, window, learnt)
         self.posterior = posterior
         self.schedule.done(newest)
-        drifts = learnt.constants.drift_probability > tuning.DRIFT_FOLLOWED
         other = learnt.noise.differs_from(known.noise, self.learner.sources)
-        if reading.excess[i] < -tuning.MISMATCH_SD or other or drifts:
+        if reading.excess[i] < -tuning.MISMATCH_SD or other or self._drifts:
             self.schedule.follow(newest)
         if not self._is_elsewhere(reading, i, posterior):
             return False
@@ -321,10 +320,42 @@ class Explainer:
 
     def _explained(self, record: Record, newest: int) -> bool:
         """Explain a broken row by other parameters, else by something else."""
+        drifts = self._drifts
+        if drifts and self._follows(record, newest):
+            return True
+        self.faults.slides = False
         if self._solve(record, newest) is not None:
             self._take_change(record, newest)
             return True
+        if self.faults.slides and not drifts and self._follows(record, newest):
+            return True
         return self._explain_otherwise(record, newest)
+
+    @property
+    def _drifts(self) -> bool:
+        """Whether a gain is believed to drift."""
+        return self.known is not None and self.known.constants.drift_probability > tuning.DRIFT_FOLLOWED
+
+    def _follows(self, record: Record, newest: int) -> bool:
+        """Learn the constants from a broken window; return whether it holds with them."""
+        known = self.known
+        assert known is not None  # noqa: S101 - known since the first window
+        window = self.window(record, newest)[0]
+        later = max(self._later(newest), 1.0)
+        learnt = self.learner.learn(window, known, believe=True, later=later)[1]
+        said = self.learner.solve(window, learnt)[0]
+        if not said.holds:
+            return False
+        self.faults.over(newest)
+        self._take(record, window, said, learnt, newest)
+        return True
+
+    def _take(self, record: Record, window: Window, said: Posterior, learnt: Knowledge, newest: int) -> None:
+        """Go on with what was learnt from a broken window."""
+        self._believe(newest, window, learnt)
+        self.posterior = said
+        self.schedule.follow(newest)
+        self._move(record, said, newest)
 
     def _take_change(self, record: Record, newest: int) -> None:
         """Go on with other parameters that fit a window; where they change too often, with other noise."""
@@ -360,10 +391,7 @@ class Explainer:
         said, learnt = self.learner.learn(window, known, shaken=True, believe=True, later=later)
         if not said.converged or (jumps and not learnt.noise.exceeds(known.noise)):
             return False
-        self._believe(newest, window, learnt)
-        self.posterior = said
-        self.schedule.follow(newest)
-        self._move(record, said, newest)
+        self._take(record, window, said, learnt, newest)
         return True
 
     def _runs_on(self, window: Window, newest: int) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.tuning import AGREES_SD, DOUBTS, MOST_RESTS, NOISY, RESTS, WHOLE
+from agent.numerics.estimator.tuning import AGREES_SD, DOUBTS, MOST_RESTS, NOISY, RESTS, WHOLE, WITHIN_SHEETS
 from agent.numerics.inference import tuning
 from agent.numerics.inference.channels import ChannelTest, Contest, Fault
 from agent.numerics.inference.learner import Learner
@@ -36,13 +36,15 @@ class Finding:
 class Faults:
     """What is known of a rig's channels.
 
-    standing: the fault that stands; tied: a channel or the structure, and nothing tells which.
+    standing: the fault that stands; tied: a channel or the structure, and nothing tells which; slides: a gain
+    changed by no more than its data sheet lets it be off, which is learnt like any constant.
     """
 
     learner: Learner
     floor: FloatArray
     standing: Fault | None = None
     tied: bool = False
+    slides: bool = False
     _channel_test: ChannelTest = field(init=False)
     _since: int | None = None
     _doubts: int = 0
@@ -193,6 +195,7 @@ class Faults:
         if found.leads is None or (rests and not named):
             self._withdraw(newest)
             return self.standing is not None
+        self.slides = self.standing is None and self._is_within_sheet(found.fault)
         self._since = min((sample for sample in (self._since, onset) if sample is not None), default=newest)
         if newest - self._since < WHOLE * self.learner.window:
             return True
@@ -200,6 +203,15 @@ class Faults:
         if found.fault is not None:
             self._name(newest, found.fault)
         return True
+
+    def _is_within_sheet(self, fault: Fault | None) -> bool:
+        """Whether what is wrong is a gain that changed by no more than its data sheet lets it be off."""
+        if fault is None:
+            return False
+        p = self.learner.p
+        place = ("output", fault.channel) if fault.channel < p else ("input", fault.channel - p)
+        sheets = [c.sheet for c in self.learner.rig.constants if c.shows and (c.kind, c.number) == place]
+        return fault.kind == "gain" and abs(fault.size) < WITHIN_SHEETS * max(sheets, default=0.0)
 
     def _name(self, newest: int, fault: Fault) -> None:
         self._doubts = 0

@@ -22,6 +22,7 @@ AGREES_SD = 3.5  # sds within which a row agrees with what held before the fault
 DOUBTS = 2  # tries in a row that do not confirm a fault, after which it is withdrawn
 RESTS, MOST_RESTS = 4, 1000  # an input's rests of a window's 1 / RESTS that are remembered, at most
 NOISY = 2.0  # times what the wire's resolution causes: a sensor with so much noise repeats nothing
+WITHIN_SHEETS = 2.0  # sds of its data sheet by which a gain may change and is learnt, no fault of its channel
 # memory.py
 LEAST_WINDOWS = 4  # windows that must have been learnt from before it is worth keeping
 # operating_point.py

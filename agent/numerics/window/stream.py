@@ -225,7 +225,8 @@ class Stream:
         keep = self.operators.longest + 1
         oldest = self._states.stop - keep
         spare = (oldest - self._states.first) * self.plan.hop
-        if spare > SPARE + keep * self.plan.hop:
+        waiting = self._samples.stop - self._done  # what is kept is copied: seldom, where much is
+        if spare > max(SPARE + keep * self.plan.hop, waiting):
             self._states.forget(oldest)
             self._samples.forget(oldest * self.plan.hop)
             self._losses.forget(oldest * self.plan.hop, self._samples.stop)

@@ -219,8 +219,9 @@ class Explainer:
         self._believe(newest, window, learnt)
         self.posterior = posterior
         self.schedule.done(newest)
+        drifts = learnt.constants.drift_probability > tuning.DRIFT_FOLLOWED
         other = learnt.noise.differs_from(known.noise, self.learner.sources)
-        if reading.excess[i] < -tuning.MISMATCH_SD or other or self._drifts:
+        if reading.excess[i] < -tuning.MISMATCH_SD or other or drifts:
             self.schedule.follow(newest)
         if not self._is_elsewhere(reading, i, posterior):
             return False
@@ -320,27 +321,19 @@ class Explainer:
 
     def _explained(self, record: Record, newest: int) -> bool:
         """Explain a broken row by other parameters, else by something else."""
-        drifts = self._drifts
-        if drifts and self._follows(record, newest):
-            return True
         self.faults.slides = False
         if self._solve(record, newest) is not None:
             self._take_change(record, newest)
             return True
-        if self.faults.slides and not drifts and self._follows(record, newest):
+        if self.faults.slides and self._follows(record, newest):
             return True
         return self._explain_otherwise(record, newest)
-
-    @property
-    def _drifts(self) -> bool:
-        """Whether a gain is believed to drift."""
-        return self.known is not None and self.known.constants.drift_probability > tuning.DRIFT_FOLLOWED
 
     def _follows(self, record: Record, newest: int) -> bool:
         """Learn the constants from a broken window; return whether it holds with them."""
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
-        window = self.window(record, newest)[0]
+        window = self._last[0]
         later = max(self._later(newest), 1.0)
         learnt = self.learner.learn(window, known, believe=True, later=later)[1]
         said = self.learner.solve(window, learnt)[0]

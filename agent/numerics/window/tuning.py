@@ -4,7 +4,7 @@
 ROWS = 16  # rows; products of this many or multiples of it give each row the same bits in OpenBLAS
 CELL_TARGET = 25  # samples of a lifted cell; 10, 12, 17, 25 measured: 154, 151, 147, 124 ns a sample
 CHUNK = 8192  # samples of columns at hand at once; 2000, 4096, 8192 measured: 252, 239, 232 ns a sample
-BATCH = 1024  # hops summarised at once; 640, 1024, 1280, 2560 measured: 242, 232, 238, 245 ns a sample, beside 7 constants 625, 600, 634, 770
+BATCH = 1024  # hops summarised at once; 640, 1024, 1280, 2560 measured: 242, 232, 238, 245 ns a sample
 GROUP = 8  # hops; groups of the sliding windows and of the filters' course; a power of two
 SPARE = 4096  # samples that may wait beyond the longest window before the oldest are let go
 RENEWED = 2  # longest windows after which a mean that does not decay starts anew; costs × 1.5

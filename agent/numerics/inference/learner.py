@@ -238,7 +238,8 @@ class Learner:
     def _information(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Information (c, c) and score (c,) of a window about the constants, and where (c,) it has them."""
         S, g, *_ = at.eliminated
-        temper = max(at.repeats, float(np.mean(known.scatter.factor)))
+        unsure = np.maximum(1 + known.noise.spread.sum(axis=0), 1.0)
+        temper = max(at.repeats, float(np.mean(known.scatter.factor * unsure)))
         return S / temper, g / temper, known.eta
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:

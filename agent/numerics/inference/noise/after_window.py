@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.noise.intensities import Scan, first_nodes, scanned
+from agent.numerics.inference.noise.intensities import Scan, first_nodes, scanned, strongest
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.spectral.columns import Regression
@@ -60,15 +60,21 @@ def learn(  # noqa: PLR0913, PLR0917
 
 
 def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> NoiseFit:
-    """The best of three joint fits: forces and sensors, or either alone; coordinate steps are greedy."""
+    """The best of four joint fits: weak forces and sensors, either alone, and forces as strong as they look.
+
+    Coordinate steps are greedy, and a joint fit goes to the nearest optimum: from weak forces on it takes
+    strong ones for the slow noise of a sensor.
+    """
     best = -np.inf
     found = (fit.log_sigma, fit.intensity)
     forces = np.array([source.kind == "force" for source in fit.sources])
     as_sensors = np.clip(first_nodes(fit.cells, mean)[:, 5], noise.nodes[:, 0], noise.nodes[:, -1])
-    for of_forces, of_sensors in ((True, True), (True, False), (False, True)):
-        fit.log_sigma = mean.copy()
-        chosen = np.where(forces, of_forces, of_sensors)
-        fit.intensity = np.where(chosen, as_sensors, noise.nodes[:, 0])
+    weak = [np.where(forces, of_forces, of_sensors) for of_forces, of_sensors in ((1, 1), (1, 0), (0, 1))]
+    starts = [np.where(chosen, as_sensors, noise.nodes[:, 0]) for chosen in weak]
+    fit.log_sigma, fit.intensity = mean.copy(), noise.nodes[:, 0].copy()
+    starts.append(strongest(fit, np.flatnonzero(forces), noise.nodes))
+    for start in starts:
+        fit.log_sigma, fit.intensity = mean.copy(), start
         fit.joint(mean, var, noise.nodes)
         value = fit.restricted_log_likelihood()
         if value > best:

@@ -26,6 +26,25 @@ def scanned(
     return scan
 
 
+def strongest(fit: NoiseFit, among: IntArray, nodes: FloatArray) -> FloatArray:
+    """Return the intensities (a,) after those `among` them were set one by one, the most telling first.
+
+    All of each grid is looked at: between no force and a strong one likelihood often falls.
+    """
+    left = among.tolist()
+    fit.refresh()
+    while left:
+        scan = Scan(fit, np.zeros_like(nodes), nodes, every=True, pred=None)
+        found = [scan.best(a) for a in left]
+        most = int(np.argmax([gain for gain, _ in found]))
+        gain, intensity = found[most]
+        if not gain > 0:
+            break
+        fit.intensity[left.pop(most)] = intensity
+        fit.refresh()
+    return fit.intensity.copy()
+
+
 class Scan:
     """One pass over intensities: on each node of a source's grid the likelihood, by a rank-one change of S.
 
@@ -43,19 +62,18 @@ class Scan:
         self.log_weight: dict[int, FloatArray] = {}
         self.spread: dict[int, FloatArray] = {}
 
+    def best(self, a: int) -> tuple[float, float]:
+        """Return the log likelihood of a source's most likely node above that of the first, and the node."""
+        self._turn_to(a)
+        logs = self._nodes(a, 0, self.nodes.shape[1], self.fit.cells.spectra[a])[0]
+        most = int(np.argmax(logs))
+        return float(logs[most] - logs[0]), float(self.nodes[a, most])
+
     def axis(self, a: int) -> None:
         """Find the posterior of one intensity and move S⁻¹ and the Gram to its mean."""
-        fit, kept = self.fit, self.fit.cells.kept
+        fit = self.fit
         shape = fit.cells.spectra[a]
-        h = fit.cells.D[:, :, a]
-        self.Sh = (fit.Si @ h[..., None])[..., 0]
-        self.hSh = (h.conj() * self.Sh).sum(axis=1).real
-        row = (self.Sh[:kept].conj()[:, None, :] @ fit.X)[:, 0]
-        outer = row.real[:, :, None] * row.real[:, None, :]
-        outer += row.imag[:, :, None] * row.imag[:, None, :]
-        self.outer = outer.reshape(kept, -1)
-        high = self.Sh[kept:]
-        self.high = np.einsum("ka,kab,kb->k", high.conj(), fit.high.R, high).real
+        self._turn_to(a)
         lo, hi, logs, grams, ends = self._reach(a, shape)
         if not np.isfinite(logs).any():
             self.log_weight[a] = self.carried[
@@ -72,6 +90,19 @@ class Scan:
         if self.pred is not None and fit.sources[a].kind == "force" and a not in fit.there:
             self.spread[a] = self._spread(a, self.nodes[a, lo:hi], weight, grams, ends)
         self._move((fit.intensity[a] ** 2 - before**2) * shape)
+
+    def _turn_to(self, a: int) -> None:
+        """Prepare rank-one changes along a source."""
+        fit, kept = self.fit, self.fit.cells.kept
+        h = fit.cells.D[:, :, a]
+        self.Sh = (fit.Si @ h[..., None])[..., 0]
+        self.hSh = (h.conj() * self.Sh).sum(axis=1).real
+        row = (self.Sh[:kept].conj()[:, None, :] @ fit.X)[:, 0]
+        outer = row.real[:, :, None] * row.real[:, None, :]
+        outer += row.imag[:, :, None] * row.imag[:, None, :]
+        self.outer = outer.reshape(kept, -1)
+        high = self.Sh[kept:]
+        self.high = np.einsum("ka,kab,kb->k", high.conj(), fit.high.R, high).real
 
     def _reach(self, a: int, shape: FloatArray) -> tuple[int, int, FloatArray, FloatArray, FloatArray]:
         """Evaluate the nodes within reach of what was carried; further while the best stands at an end."""

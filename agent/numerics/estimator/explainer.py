@@ -322,8 +322,9 @@ class Explainer:
     def _explained(self, record: Record, newest: int) -> bool:
         """Explain a broken row by other parameters, else by something else."""
         self.faults.slides = False
+        stood = self.faults.standing is not None
         if self._solve(record, newest) is not None:
-            self._take_change(record, newest)
+            self._take_change(record, newest, of_a_channel=stood)
             return True
         if self.faults.slides and self._follows(record, newest):
             return True
@@ -350,10 +351,14 @@ class Explainer:
         self.schedule.follow(newest)
         self._move(record, said, newest)
 
-    def _take_change(self, record: Record, newest: int) -> None:
-        """Go on with other parameters that fit a window; where they change too often, with other noise."""
+    def _take_change(self, record: Record, newest: int, *, of_a_channel: bool) -> None:
+        """Go on with other parameters that fit a window; where they change too often, with other noise.
+
+        of_a_channel: rows were broken by a channel, which reads rightly again.
+        """
         assert self.known is not None  # noqa: S101 - known since the first window
-        if self.disturbance.is_more_than_a_change(newest, self.settings.plan.window):
+        often = self.disturbance.is_more_than_a_change(newest, self.settings.plan.window)
+        if often and not of_a_channel:
             self._relearn(record, *self._last, newest, jumps=False)
             return
         self.known = replace(self.known, scatter=self.known.scatter.interrupted())

@@ -227,11 +227,11 @@ class Learner:
         before = NoiseFit(
             known.noise, at.cells, at.regression, self.sources, ridge
         ).restricted_log_likelihood()
-        open_minded = replace(
-            known.noise, log_weight=0.1 * known.noise.log_weight, windows=min(known.noise.windows, 1)
-        )
+        open_minded = replace(known.noise, windows=min(known.noise.windows, 1))
         least = self._least(known.noise)
-        _, fit = learn(open_minded, at.cells, at.regression, self.sources, ridge, None, least, shaken=True)
+        _, fit = learn(
+            open_minded, at.cells, at.regression, self.sources, ridge, None, least, shaken=True, anew=True
+        )
         return before, fit
 
     # ------------------------------------------------------------------ what it says

@@ -130,8 +130,6 @@ LINE_CYCLES = 8
 """Cycles a window that a line has at least: what is slower is the work of forces."""
 FORGET = 0.97
 """Factor a window on the log-weights of force and colour intensities. Needed by: forces that begin."""
-SHAKEN = 0.1
-"""The same for a window that only other noise explains: sources are looked for as in a first window."""
 UNSETTLED = 0.05
 """Change of an intensity's logarithm from which every window is learnt from. Needed by: forces that cease."""
 LARGE_NODES = 20.0

@@ -38,7 +38,7 @@ def learn(  # noqa: PLR0913, PLR0917
         empty = np.zeros((len(sources), tuning.NODES))
         start = replace(noise, nodes=first_nodes(cells, least), log_weight=empty)
     if anew:
-        start = replace(start, log_weight=tuning.SHAKEN * start.log_weight)
+        start = replace(start, log_weight=np.zeros_like(start.log_weight))
     fit = NoiseFit(start, cells, regression, sources, wide)
     walk = start.walk * (start.windows > 0) + 0.3**2 * shaken
     mean = start.log_sigma
@@ -60,7 +60,8 @@ def learn(  # noqa: PLR0913, PLR0917
 
 
 def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> NoiseFit:
-    """The best of four joint fits: weak forces and sensors, either alone, and forces as strong as they look.
+    """The best of joint fits from weak forces and sensors, from either alone and, where the noise changed,
+    from forces as strong as they look.
 
     Coordinate steps are greedy, and a joint fit goes to the nearest optimum: from weak forces on it takes
     strong ones for the slow noise of a sensor.
@@ -71,8 +72,9 @@ def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> No
     as_sensors = np.clip(first_nodes(fit.cells, mean)[:, 5], noise.nodes[:, 0], noise.nodes[:, -1])
     weak = [np.where(forces, of_forces, of_sensors) for of_forces, of_sensors in ((1, 1), (1, 0), (0, 1))]
     starts = [np.where(chosen, as_sensors, noise.nodes[:, 0]) for chosen in weak]
-    fit.log_sigma, fit.intensity = mean.copy(), noise.nodes[:, 0].copy()
-    starts.append(strongest(fit, np.flatnonzero(forces), noise.nodes))
+    if noise.windows:
+        fit.log_sigma, fit.intensity = mean.copy(), noise.nodes[:, 0].copy()
+        starts.append(strongest(fit, np.flatnonzero(forces), noise.nodes))
     for start in starts:
         fit.log_sigma, fit.intensity = mean.copy(), start
         fit.joint(mean, var, noise.nodes)

@@ -267,7 +267,10 @@ class Explainer:
         self.disturbance.tried(newest, self.settings.plan.window)
         if self._owed or not self._may_begin(newest):
             return False
+        stood = self.faults.standing is not None
         solved = self._solve(record, newest)
+        if solved is not None and not self._is_the_same(solved):
+            self._take_change(record, newest, of_a_channel=stood)
         self._pay()
         return solved is not None
 

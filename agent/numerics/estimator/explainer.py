@@ -267,10 +267,11 @@ class Explainer:
         self.disturbance.tried(newest, self.settings.plan.window)
         if self._owed or not self._may_begin(newest):
             return False
-        stood = self.faults.standing is not None
+        sound = not self.faults.is_active
         solved = self._solve(record, newest)
-        if solved is not None and not self._is_the_same(solved):
-            self._changes_often(record, newest, of_a_channel=stood)
+        other = sound and solved is not None and not self._is_the_same(solved)
+        if other and self.disturbance.moves_again(newest, self.settings.plan.window):
+            self._relearn(record, *self._last, newest, jumps=False)
         self._pay()
         return solved is not None
 
@@ -355,21 +356,17 @@ class Explainer:
         self._move(record, said, newest)
 
     def _take_change(self, record: Record, newest: int, *, of_a_channel: bool) -> None:
-        """Go on with other parameters that fit a window."""
-        assert self.known is not None  # noqa: S101 - known since the first window
-        if not self._changes_often(record, newest, of_a_channel=of_a_channel):
-            self.known = replace(self.known, scatter=self.known.scatter.interrupted())
-            self.schedule.follow(newest)
-
-    def _changes_often(self, record: Record, newest: int, *, of_a_channel: bool) -> bool:
-        """Whether parameters, which are others in a window, change too often, so that other noise is learnt.
+        """Go on with other parameters that fit a window; where they change too often, with other noise.
 
         of_a_channel: rows were broken by a channel, which reads rightly again.
         """
+        assert self.known is not None  # noqa: S101 - known since the first window
         often = self.disturbance.is_more_than_a_change(newest, self.settings.plan.window)
         if often and not of_a_channel:
             self._relearn(record, *self._last, newest, jumps=False)
-        return often and not of_a_channel
+            return
+        self.known = replace(self.known, scatter=self.known.scatter.interrupted())
+        self.schedule.follow(newest)
 
     def _explain_otherwise(self, record: Record, newest: int) -> bool:
         """Explain a window no other parameters fit by lines, or a whole window after onset by other noise."""

@@ -59,6 +59,7 @@ class Disturbance:
     again: int = -(1 << 60)
     ended: int = -(1 << 60)
     changed: int = -(1 << 60)
+    moved: int = -(1 << 60)
 
     def at(self, index: int) -> None:
         """Note a broken row."""
@@ -69,6 +70,14 @@ class Disturbance:
         """Note that other parameters fit; return whether too slowly for one change, or too soon after one."""
         before, self.changed = self.changed, index
         return index - before < tuning.AGAIN * window or index - (self.onset or index) > tuning.LASTS * window
+
+    def moves_again(self, index: int, window: int) -> bool:
+        """Note that parameters moved in rows that hold; return whether a change before it did not end there."""
+        since = index - max(self.moved, self.changed)
+        if since <= tuning.LASTS * window:
+            return False
+        self.moved = index
+        return since < tuning.AGAIN * window
 
     def tried(self, index: int, window: int) -> None:
         """Note a try at sample `index`."""

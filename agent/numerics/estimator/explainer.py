@@ -21,6 +21,7 @@ from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.schedule import Budget, Disturbance, Schedule, samples_an_evaluation
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.tuning import (
+    LASTS,
     LEAST_WINDOWS,
     LONGEST,
     MOVED_LOG_SD,
@@ -293,7 +294,12 @@ class Explainer:
 
     def _is_the_same(self, posterior: Posterior) -> bool:
         """Whether an unbroken window says what the one learnt from last said: only the point was poor."""
-        if self.posterior is None or self.disturbance.onset is not None or self.faults.is_active:
+        unbroken = self.disturbance.onset is None and not self.faults.is_active
+        return unbroken and self._agrees(posterior)
+
+    def _agrees(self, posterior: Posterior) -> bool:
+        """Whether a window says what the one learnt from last said."""
+        if self.posterior is None:
             return False
         apart = np.abs(posterior.theta - self.posterior.theta)
         return bool(np.all(apart < tuning.AGREE_SD * np.hypot(posterior.sd_repeat, self.posterior.sd_repeat)))
@@ -326,9 +332,8 @@ class Explainer:
     def _explained(self, record: Record, newest: int) -> bool:
         """Explain a broken row by other parameters, else by something else."""
         self.faults.slides = False
-        stood = self.faults.standing is not None
         if self._solve(record, newest) is not None:
-            self._take_change(record, newest, of_a_channel=stood)
+            self._take_change(record, newest)
             return True
         if self.faults.slides and self._follows(record, newest):
             return True
@@ -355,14 +360,14 @@ class Explainer:
         self.schedule.follow(newest)
         self._move(record, said, newest)
 
-    def _take_change(self, record: Record, newest: int, *, of_a_channel: bool) -> None:
+    def _take_change(self, record: Record, newest: int) -> None:
         """Go on with other parameters that fit a window; where they change too often, with other noise.
 
-        of_a_channel: rows were broken by a channel, which reads rightly again.
+        Those that are again what they were have not changed: something came and went.
         """
         assert self.known is not None  # noqa: S101 - known since the first window
-        often = self.disturbance.is_more_than_a_change(newest, self.settings.plan.window)
-        if often and not of_a_channel:
+        changed = not self._agrees(self._last[1])
+        if changed and self.disturbance.is_more_than_a_change(newest, self.settings.plan.window):
             self._relearn(record, *self._last, newest, jumps=False)
             return
         self.known = replace(self.known, scatter=self.known.scatter.interrupted())
@@ -372,14 +377,14 @@ class Explainer:
         """Explain a window no other parameters fit by lines, or a whole window after onset by other noise."""
         disturbance, length = self.disturbance, self.settings.plan.window
         window, posterior = self._last
-        early = newest - (disturbance.onset or newest) < length
+        early = newest - (disturbance.onset or newest) < (LASTS if posterior.jumps_once else 1) * length
         if self.faults.standing is not None:  # it is looked at again a window later
             disturbance.wait(newest + length)
         if early or self.faults.is_active or not posterior.converged:
             return False
         if self._runs_on(window, newest):
             return False
-        return self._relearn(record, window, posterior, newest, jumps=posterior.changing)
+        return self._relearn(record, window, posterior, newest, jumps=posterior.jumps_once)
 
     def _relearn(
         self, record: Record, window: Window, posterior: Posterior, newest: int, *, jumps: bool

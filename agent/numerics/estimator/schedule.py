@@ -72,7 +72,7 @@ class Disturbance:
         return index - before < tuning.AGAIN * window or index - (self.onset or index) > tuning.LASTS * window
 
     def moves_again(self, index: int, window: int) -> bool:
-        """Note that parameters moved in rows that hold; return whether a change before it did not end there."""
+        """Note that parameters moved in rows that hold; return whether they do soon after another change."""
         since = index - max(self.moved, self.changed)
         if since <= tuning.LASTS * window:
             return False

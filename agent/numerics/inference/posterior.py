@@ -84,6 +84,11 @@ class Posterior:
         """Whether one set of parameters explains the window."""
         return self.converged and not self.changing and not self.mismatch
 
+    @property
+    def jumps_once(self) -> bool:
+        """Whether one jump of the parameters explains a window that changes."""
+        return self.changing and self.beyond_jump <= tuning.MISMATCH_SD
+
 
 @dataclass(frozen=True)
 class Line:

@@ -60,8 +60,7 @@ def learn(  # noqa: PLR0913, PLR0917
 
 
 def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> NoiseFit:
-    """The best of joint fits from weak forces and sensors, from either alone and, where the noise changed,
-    from forces as strong as they look.
+    """The best of joint fits from weak forces and sensors, either alone, and strong forces if noise changed.
 
     Coordinate steps are greedy, and a joint fit goes to the nearest optimum: from weak forces on it takes
     strong ones for the slow noise of a sensor.

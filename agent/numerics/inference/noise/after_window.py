@@ -72,10 +72,12 @@ def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> No
     weak = [np.where(forces, of_forces, of_sensors) for of_forces, of_sensors in ((1, 1), (1, 0), (0, 1))]
     starts = [np.where(chosen, as_sensors, noise.nodes[:, 0]) for chosen in weak]
     if noise.windows:
-        fit.log_sigma, fit.intensity = mean.copy(), noise.nodes[:, 0].copy()
+        fit.log_sigma = mean.copy()
+        fit.intensity = noise.nodes[:, 0].copy()
         starts.append(strongest(fit, np.flatnonzero(forces), noise.nodes))
     for start in starts:
-        fit.log_sigma, fit.intensity = mean.copy(), start
+        fit.log_sigma = mean.copy()
+        fit.intensity = start
         fit.joint(mean, var, noise.nodes)
         value = fit.restricted_log_likelihood()
         if value > best:

@@ -99,6 +99,14 @@ def test_forces_that_begin_are_learnt_after_ten_windows(where: str, request: pyt
     assess(where, each(learnt, [(where, seed) for seed in range(QUICK)]), request)
 
 
+@pytest.mark.parametrize("job", [("m1", 1024), ("m1", 1048), ("both", 1019)])
+def test_forces_that_begin_are_taken_for_no_fault(job: tuple[str, int]) -> None:
+    """A joint fit that began at weak forces took these for the slow noise of a sensor, and rows were sure."""
+    where, seed = job
+    v = pushed(np.random.default_rng([seed, 31]), WEIGHTS[where])[: BEFORE + LEARNT]
+    assert not [r for r in records(pipeline(), v) if isinstance(r, AlarmTransition)]
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize("where", WEIGHTS)
 def test_forces_that_begin_are_learnt_in_100_runs(where: str, request: pytest.FixtureRequest) -> None:

@@ -60,7 +60,7 @@ def learn(  # noqa: PLR0913, PLR0917
 
 
 def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> NoiseFit:
-    """The best of joint fits from weak forces and sensors, either alone, and strong forces if noise changed.
+    """The best of joint fits: from weak forces and sensors, and either alone or, later on, strong forces.
 
     Coordinate steps are greedy, and a joint fit goes to the nearest optimum: from weak forces on it takes
     strong ones for the slow noise of a sensor.
@@ -69,8 +69,9 @@ def _start(noise: Noise, fit: NoiseFit, mean: FloatArray, var: FloatArray) -> No
     found = (fit.log_sigma, fit.intensity)
     forces = np.array([source.kind == "force" for source in fit.sources])
     as_sensors = np.clip(first_nodes(fit.cells, mean)[:, 5], noise.nodes[:, 0], noise.nodes[:, -1])
-    weak = [np.where(forces, of_forces, of_sensors) for of_forces, of_sensors in ((1, 1), (1, 0), (0, 1))]
-    starts = [np.where(chosen, as_sensors, noise.nodes[:, 0]) for chosen in weak]
+    weak = [(True, True)] if noise.windows else [(True, True), (True, False), (False, True)]
+    chosen = [np.where(forces, of_forces, of_sensors) for of_forces, of_sensors in weak]
+    starts = [np.where(these, as_sensors, noise.nodes[:, 0]) for these in chosen]
     if noise.windows:
         fit.log_sigma = mean.copy()
         fit.intensity = noise.nodes[:, 0].copy()

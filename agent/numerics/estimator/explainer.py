@@ -384,7 +384,7 @@ class Explainer:
             return False
         if self._runs_on(window, newest):
             return False
-        return self._relearn(record, window, posterior, newest, jumps=posterior.jumps_once)
+        return self._relearn(record, window, posterior, newest, jumps=posterior.changing)
 
     def _relearn(
         self, record: Record, window: Window, posterior: Posterior, newest: int, *, jumps: bool

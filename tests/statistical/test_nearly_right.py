@@ -14,7 +14,7 @@ QUICK = (
     "right", "noise x 0.5", "m1 +5 %", "middle mass +8 %",
     "x2 reads 5 % more, three masses",
     "held, hold first, one mass", "hum", "driving-point accelerometer", "mass 3 % and hum",
-    "force noise and x2 +4 %", "late and m1 +3 %, hold zero, accelerometers",
+    "force noise and x2 +4 %", "late and m1 +3 %, hold zero, accelerometers", "three digits",
 )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.numerics.inference.constants import Constants, Hypothesis
+from agent.numerics.inference.noise.rounding import Rounding
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.scatter import Scatter
@@ -25,7 +26,8 @@ def to_text(known: Knowledge) -> str:
             "log_weight": _list(noise.log_weight), "intensity": _list(noise.intensity),
             "spread": _list(noise.spread), "windows": noise.windows, "turn": noise.turn,
             "walk": noise.walk, "counted": noise.counted,
-        } | ({} if noise.information is None else {"information": _list(noise.information)}),
+        } | ({} if noise.information is None else {"information": _list(noise.information)})
+          | ({} if noise.rounding is None else {"rounding": _rounding(noise.rounding)}),
         "constants": {
             "names": [h.name for h in constants.hypotheses], "weight": _list(constants.weight),
             "mean": _list(constants.mean), "covariance": _list(constants.covariance),
@@ -52,6 +54,7 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
         n["turn"],
         n["walk"], n["counted"],
         None if n.get("information") is None else array(n["information"]),  # earlier programs did not keep it
+        _rounding_of(n.get("rounding")),
     )  # fmt: skip
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
         return None
@@ -66,6 +69,20 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
     known = Knowledge(array(found["theta"]), array(found["eta"]), noise, constants, scatter, found["kept"])
     behind = found.get("information")  # earlier programs did not keep it
     return known if behind is None else replace(known, information=array(behind))
+
+
+def _rounding(rounding: Rounding) -> dict[str, object]:
+    return {
+        "digits": rounding.digits.tolist(), "usual": _list(rounding.usual),
+        "of_power": _list(rounding.of_power), "of_score": _list(rounding.of_score),
+    }  # fmt: skip
+
+
+def _rounding_of(kept: dict[str, list] | None) -> Rounding | None:  # type: ignore[type-arg]
+    if kept is None:
+        return None
+    each = (np.array(kept[part], dtype=float) for part in ("usual", "of_power", "of_score"))
+    return Rounding(np.array(kept["digits"], dtype=np.int64), *each)
 
 
 def _list(values: np.ndarray) -> object:

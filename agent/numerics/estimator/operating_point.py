@@ -11,6 +11,7 @@ import numpy as np
 from agent.numerics.estimator.tuning import LINE_LEVEL, MOST_LINES, PRESENT_NODES
 from agent.numerics.inference.mixture import NORMAL_975
 from agent.numerics.inference.noise.lines import between
+from agent.numerics.inference.noise.rounding import Rounding
 from agent.numerics.inference.posterior import Knowledge, Posterior, shifted
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
@@ -48,6 +49,7 @@ class OperatingPoint:
         shape: how the constants' mixture differs from one Gaussian.
         unsure: variance of log σ that the misfit allows for.
         scatter: largest factor by which jump statistics are divided.
+        rounding: of the readings that the noise is of; None where it is the same for all.
         slopes: inputs are followed by their slopes.
     """
 
@@ -61,6 +63,7 @@ class OperatingPoint:
     shape: Shape
     unsure: float
     scatter: float
+    rounding: Rounding | None
     slopes: bool
 
 
@@ -79,6 +82,7 @@ def operating_point(
     eta = known.constants.standing[0]
     # where the window learnt from would have it with the constants so, or rows would start far from the point
     theta = np.maximum(shifted(known.theta, posterior.sensitivity @ (eta - known.eta)), rig.lower)
+    noise = known.noise
     at = sampled(rig, theta, eta[: rig.masses], delays_of(rig, eta))
     seen = _Seen(rig, eta, at)
     base = seen.model(at.A, at.B, at.C, at.D)
@@ -92,7 +96,8 @@ def operating_point(
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
         model, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
-        known.noise.unsure, max(1.0, float(known.scatter.within.max())), at.late is not None,
+        noise.unsure, max(1.0, float(known.scatter.within.max())), noise.rounding,
+        at.late is not None,
     )  # fmt: skip
 
 
@@ -193,7 +198,7 @@ def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int, force
     noise = known.noise
     # a line's leakage is no noise where the line is followed
     usual = np.median(noise.levels[: max(known.kept, 1)], axis=0)
-    sigma = np.exp(noise.log_sigma) * np.sqrt(usual)
+    sigma = noise.sd * np.sqrt(usual)
     white = np.zeros(forces)
     if not noise.is_started:
         return NoiseModel(sigma, white, (), _lines(noise.levels, window))

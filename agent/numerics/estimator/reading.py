@@ -17,6 +17,7 @@ from agent.numerics.estimator.tuning import (
     POORER,
 )
 from agent.numerics.inference.mixture import NORMAL_975
+from agent.numerics.inference.noise.rounding import Uneven
 from agent.numerics.inference.noise.state import chance, louder
 from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
@@ -64,11 +65,12 @@ class Reading:
 
 def read(
     windowed: Windowed, point: OperatingPoint, samples: int, repeats: FloatArray | float = 1.0,
-    jump_before: float = 0.0, far_sd: float = FAR_SD,
+    uneven: Uneven | None = None, jump_before: float = 0.0, far_sd: float = FAR_SD,
 ) -> Reading:  # fmt: skip
     """Return what windows of a length say, constants and intensities as known at the operating point.
 
-    repeats: (N,) factor on the variance, by readings that repeat one code. jump_before: the newest statistic
+    repeats: (N,) factor on the variance, by readings that repeat one code. uneven: noise of their readings,
+    where it is not the same for all. jump_before: the newest statistic
     of a jump before these rows, which stands until the next row that is scanned. far_sd: sds from the point
     beyond which a window is linearised too far away.
     """
@@ -94,8 +96,17 @@ def read(
     far &= sharp < FAR_SHARPEST
     rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
-    excess = np.log(rss / dof) / chance(dof, point.unsure)
-    own_wider = own * widened(point.wider, again) * louder(rss / dof, dof, point.unsure)[:, None]
+    stop = windowed.index + 1
+    power = rss / dof
+    alike = dof
+    told = np.ones(1)
+    if uneven is not None:
+        power = power / uneven.power(stop - samples, stop)
+        alike = dof * uneven.count(stop - samples, stop) / samples
+        told = uneven.told(stop - samples, stop)
+    excess = np.log(power) / chance(alike, point.unsure)
+    own_wider = own * widened(told[:, None] * point.wider, again)
+    own_wider = own_wider * louder(power, alike, point.unsure)[:, None]
     # a row that is far from the point carries the term of second order that it neglects, until it is solved
     neglected = np.where(far.any(axis=1)[:, None], d[:, :q] ** 2, 0.0)
     repeat = point.unit * np.hypot(np.sqrt(own_wider), neglected)
@@ -104,8 +115,11 @@ def read(
     jump = np.full(len(rss), jump_before)
     if windowed.jumps is not None and len(windowed.jumps.index):
         at = np.searchsorted(windowed.index, windowed.jumps.index)
-        found = windowed.jumps.glr(d[at], covariance[at]).max(axis=1, initial=0.0)
-        found = found / (np.maximum(1.0, rss[at] / dof[at]) * point.scatter)
+        each = windowed.jumps.glr(d[at], covariance[at])
+        if uneven is not None:
+            end = stop[at][:, None]
+            each = each / uneven.jump(end - samples, end - np.array(windowed.jumps.samples), end)
+        found = each.max(axis=1, initial=0.0) / (np.maximum(1.0, power[at]) * point.scatter)
         # a row that is not scanned shows what the newest one before it that was did
         place = np.searchsorted(at, np.arange(len(rss)), side="right") - 1
         jump = np.where(place >= 0, found[np.maximum(place, 0)], jump_before)

@@ -171,7 +171,8 @@ class SlidingEstimator:
         far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
         window = self.settings.plan.window
         repeats = record.repeats_in(windowed.index, window)
-        reading = read(windowed, point, window, repeats, self._jump, far_sd)
+        uneven = record.uneven_in(windowed.index, window, point.rounding)
+        reading = read(windowed, point, window, repeats, uneven, self._jump, far_sd)
         hollow = self._hollow(record, reading.index) | reading.unsolved
         still = self._still(record, reading.index)
         frozen = faults.frozen_in(record, reading.index, still)
@@ -219,7 +220,10 @@ class SlidingEstimator:
         each = zip(self.settings.longer, batch.windows[1:], strict=True)
         return [
             None if windowed is None
-            else read(windowed, point, samples, record.repeats_in(windowed.index, samples))
+            else read(
+                windowed, point, samples, record.repeats_in(windowed.index, samples),
+                record.uneven_in(windowed.index, samples, point.rounding),
+            )
             for samples, windowed in each
         ]  # fmt: skip
 

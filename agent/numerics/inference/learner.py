@@ -61,7 +61,7 @@ class Learner:
 
     def spread(self, noise: Noise) -> FloatArray:
         """Return the sd (p,) of each output's readings at rest: white and coloured noise of its sensor."""
-        variance = np.exp(2 * noise.log_sigma)
+        variance = noise.white.copy()
         for source, intensity in zip(self.sources, noise.intensity, strict=True):
             if source.kind == "sensor":
                 variance[source.number] += intensity**2
@@ -92,7 +92,8 @@ class Learner:
         shaken: σ may have changed more than usual. believe: it holds no change, whatever the jump test says.
         later: windows since the one before it that was learnt from.
         """
-        known = self.lineariser.prepared(window, known)
+        before = known.noise.rounding
+        known = self.lineariser.prepared(window, _met(window, known))
         predicted = replace(known, constants=known.constants.predicted(later))
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
         jump, raw, (excess, beyond), *_ = self._tests(at, predicted)
@@ -111,8 +112,9 @@ class Learner:
             predicted = replace(predicted, eta=constants.expected, theta=at.theta)
             at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
         here = _estimate(settled, predicted.eta).at(constants.expected)
-        scatter = known.scatter.after(self._ratio(settled), here)
-        at_window = replace(predicted, noise=noise, scatter=scatter)
+        scatter = known.scatter.after(self._ratio(settled) / settled.told, here)
+        rounding = self.lineariser.rounding_after(settled, noise, before)
+        at_window = replace(predicted, noise=replace(noise, rounding=rounding), scatter=scatter)
         posterior = replace(
             self._posterior(settled, at_window, constants),
             jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
@@ -152,7 +154,7 @@ class Learner:
         noise, fit = learn(lined, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
         self.lineariser.evaluations += NOISE_PASS
         noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
-        return noise, self.lineariser.without_jumps(at, fit)
+        return noise, self.lineariser.without_jumps(at, window, noise, fit)
 
     def _floor(self, window: Window) -> FloatArray:
         """(p,) least log σ: what the wire resolves, or more digits than any sensor has."""
@@ -173,14 +175,14 @@ class Learner:
 
         Nor of the constants: it may share most of its samples with one that was learnt from.
         """
+        known = _of(window, known)
         at = self.lineariser.linearised(window, known, jumps=known.noise.is_started, steps=steps)
         return self._posterior(at, known, known.constants), at.theta
 
     def at_point(self, window: Window, known: Knowledge, jumps: bool = False) -> Linearised:
         """Return a window linearised at what is known, wherever its own best parameters are."""
-        return self.lineariser.point(
-            window, known, known.theta, self.cuts if jumps else np.zeros(0, dtype=np.int64)
-        )
+        cuts = self.cuts if jumps else np.zeros(0, dtype=np.int64)
+        return self.lineariser.point(window, _of(window, known), known.theta, cuts)
 
     def lost_readings(
         self, window: Window, known: Knowledge, moved: FloatArray
@@ -199,6 +201,7 @@ class Learner:
 
     def contested(self, window: Window, known: Knowledge, posterior: Posterior) -> bool:
         """Whether a change of the noise explains a window as well as a jump of the parameters does."""
+        known = _of(window, known)
         at = self.lineariser.linearised(window, known, jumps=False)
         wide = self.lineariser.ridge(at.regression.layout, window, self.lineariser.wide(), -known.eta)
         before, fit = self._open_minded(at, known, wide)
@@ -213,6 +216,7 @@ class Learner:
         A level of its own for a bin would take an offset for the noise of bin 0.
         """
         mean, P = known.constants.standing
+        known = _of(window, known)
         at = self.at_point(window, known)
         ridge = self.lineariser.ridge(at.regression.layout, window, P, mean - known.eta)
         noise = known.noise
@@ -239,7 +243,7 @@ class Learner:
         """Information (c, c) and score (c,) of a window about the constants, and where (c,) it has them."""
         S, g, *_ = at.eliminated
         unsure = np.maximum(1 + known.noise.spread.sum(axis=0), 1.0)
-        temper = max(at.repeats, float(np.mean(known.scatter.factor * unsure)))
+        temper = max(at.repeats, at.told * float(np.mean(known.scatter.factor * unsure)))
         return S / temper, g / temper, known.eta
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
@@ -257,7 +261,8 @@ class Learner:
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)
         jump, raw, (excess, beyond), power, dof = self._tests(at, known)
-        wider = widened(wider * known.scatter.factor, at.repeats) * louder(power, dof, known.noise.unsure)
+        wider = widened(at.told * wider * known.scatter.factor, at.repeats)
+        wider = wider * louder(power, at.alike * dof, known.noise.unsure)
         extra = u**2 * own * (wider - 1)
         sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
         lower, upper = interval95(after.weight, means, sds)
@@ -285,8 +290,9 @@ class Learner:
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
         raw = np.array([self._jump(at, V, fit, i) for i in range(layout.cuts)])
         left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
-        excess, beyond = np.log(left / dof) / chance(dof, known.noise.unsure) * bool(known.noise.windows)
-        misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max()))
+        expected = chance(at.alike * dof, known.noise.unsure)
+        excess, beyond = np.log(left / dof) / expected * bool(known.noise.windows)
+        misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max())) * at.jumps
         return raw / misfit, raw, (float(excess), float(beyond)), rss / dof, dof
 
     def line(self, window: Window, known: Knowledge) -> Line:
@@ -295,6 +301,7 @@ class Learner:
         The line of a parameter is taken as equal jumps at all cuts, which leaves a twenty-fifth of what a
         constant leaves of it. `changing` says that one jump of all parameters explains the window better.
         """
+        known = _of(window, known)
         at = self.lineariser.linearised(window, known, jumps=True)
         layout, q = at.regression.layout, self.rig.q
         nb, cuts = layout.base, layout.cuts
@@ -320,11 +327,11 @@ class Learner:
             at, known, known.constants
         )  # a window of this kind says nothing of the constants
         open_constants = plain.sd**2 - plain.sd_repeat**2
-        misfit = known.scatter.factor * max(1.0, left / plain.dof)
+        misfit = at.told * known.scatter.factor * max(1.0, left / plain.dof)
         stair = fit[nb:] ** 2 / (12 * cuts**2)
         own = at.unit * np.sqrt(np.diag(end @ V @ end.T) * misfit + stair)
         sd = np.sqrt(own**2 + np.maximum(open_constants, 0.0))
-        excess = float(np.log(left / plain.dof) / chance(plain.dof, known.noise.unsure))
+        excess = float(np.log(left / plain.dof) / chance(at.alike * plain.dof, known.noise.unsure))
         said = replace(
             plain, theta=theta, sd=sd, lower=theta - NORMAL_975 * sd, upper=theta + NORMAL_975 * sd,
             sd_repeat=own,
@@ -352,6 +359,18 @@ class Learner:
         low = float(at.cells.gram(at.Si, at.regression.X)[-1, -1])
         blocks = block_grams(whitened, self.window, max(0.0, float(at.G[-1, -1]) - low))
         return block_ratio(blocks, at.ridge.R, at.ridge.b, layout.psi)
+
+
+def _of(window: Window, known: Knowledge) -> Knowledge:
+    """Return what is known with the noise as it is in a window, whose readings are rounded as they are."""
+    return replace(known, noise=known.noise.of(window.y))
+
+
+def _met(window: Window, known: Knowledge) -> Knowledge:
+    """Return the same with the rounding that a window shows."""
+    there = np.ones(window.length, dtype=bool)
+    there[window.lost[:, 0]] = False
+    return _of(window, replace(known, noise=known.noise.met(window.y[there])))
 
 
 def _estimate(at: Linearised, eta: FloatArray) -> Estimate:

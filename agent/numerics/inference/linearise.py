@@ -7,6 +7,7 @@ import numpy as np
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge, layout_free
+from agent.numerics.inference.noise.rounding import Rounding, Uneven, reference
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge, shifted
 from agent.numerics.inference.scatter import by_repeats
@@ -32,6 +33,9 @@ class Linearised:
         regression, cells: the window there.
         G: Gram of all columns, residual last;  Si: S⁻¹;  ridge: the prior;  converged: it came to rest.
         repeats: factor on the variance, by readings that repeat one code.
+        told: the same by rounding errors that are larger where readings tell more;  jumps: (cuts,) that of
+            the scores of jumps;  alike: share of the readings that would tell as much of their power if all
+            were rounded alike;  rounding: of the readings, None where it is even.
     """
 
     theta: FloatArray
@@ -42,7 +46,11 @@ class Linearised:
     Si: ComplexArray
     ridge: Ridge
     converged: bool
-    repeats: float = 1.0
+    repeats: float
+    told: float
+    jumps: FloatArray
+    alike: float = 1.0
+    rounding: Rounding | None = None
 
     @cached_property
     def eliminated(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -192,7 +200,7 @@ class Lineariser:
         regressor = Regressor(self.rig, response, self.sources, known.eta, lasting)
         cells = self._sources_at(response, regressor.output_gain)
         noise = known.noise
-        S = cells.covariance(noise.log_sigma, noise.levels, noise.intensity)
+        S = cells.covariance(noise.white, noise.levels, noise.intensity)
         Si = inverse_of(S)
         driven = self._driven(response, cells, noise, Si)
         regression = regressor.build(window, lambda X: cells.gram(Si, X), cuts, driven)
@@ -204,7 +212,10 @@ class Lineariser:
         )
         changes = int(np.count_nonzero(rows_with(np.diff(window.y, axis=0) != 0)))
         repeats = float(by_repeats(changes, self.window))
-        return Linearised(theta, response.at.unit, regression, cells, G, Si, ridge, True, repeats)
+        at = Linearised(
+            theta, response.at.unit, regression, cells, G, Si, ridge, True, repeats, 1.0, np.ones(len(cuts))
+        )
+        return at if noise.rounding is None else _rounded(at, window, noise.rounding, cuts)
 
     def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:
         """(kept, n, p) regression of the states that unknown forces drive on the readings: Cov(x, y) S⁻¹."""
@@ -288,14 +299,28 @@ class Lineariser:
             b[layout.xi] = precision @ mean
         return Ridge(R, b)
 
-    def without_jumps(self, at: Linearised, fit: NoiseFit) -> Linearised:
+    def without_jumps(self, at: Linearised, window: Window, noise: Noise, fit: NoiseFit) -> Linearised:
         """Return the same window under the noise that was just learnt."""
         layout = replace(at.regression.layout, cuts=0)
         R = at.ridge.R.copy()
         ends = range(layout.ends.start, layout.ends.stop)
         R[ends, ends] = fit.ridge()[ends, ends]
         regression = replace(at.regression, X=fit.X, layout=layout)
-        return replace(at, G=fit.G, Si=fit.Si, regression=regression, ridge=replace(at.ridge, R=R))
+        no_cuts = np.zeros(0, dtype=np.int64)
+        at = replace(
+            at, G=fit.G, Si=fit.Si, regression=regression, ridge=replace(at.ridge, R=R), jumps=np.ones(0)
+        )
+        return at if noise.rounding is None else _rounded(at, window, noise.rounding, no_cuts)
+
+    def rounding_after(self, at: Linearised, noise: Noise, before: Rounding | None) -> Rounding | None:
+        """Return the rounding that the bank's filters count on, with what it does under what was learnt."""
+        if at.rounding is None:
+            return None
+        usual = reference(before, at.rounding, max(1 - tuning.FORGET, 1 / max(noise.windows, 1)))
+        there = replace(at.rounding, usual=usual)
+        noise = replace(noise, rounding=there)
+        S = at.cells.covariance(noise.white, noise.levels, noise.intensity)
+        return _weighed(there, at, inverse_of(S))
 
     def nearer(
         self, at: Linearised, known: Knowledge, there: FloatArray, eta: FloatArray
@@ -372,3 +397,25 @@ def _sd_of(layout: Layout, gram: FloatArray, priors: list[FloatArray]) -> FloatA
         V = np.linalg.pinv(M * np.outer(d, d), rcond=1e-14, hermitian=True)
         out.append(np.sqrt(np.abs(np.diag(V))[layout.psi]) * d[layout.psi])
     return np.concatenate(out)
+
+
+def _rounded(at: Linearised, window: Window, rounding: Rounding, cuts: IntArray) -> Linearised:
+    """Return a window with what the rounding of its readings does there."""
+    rounding = _weighed(rounding, at, at.Si)
+    uneven = Uneven(0, window.y, rounding)
+    start = np.array(0)
+    stop = np.array(window.length)
+    return replace(
+        at, told=float(uneven.told(start, stop)), jumps=uneven.jump(start, cuts, stop),
+        alike=float(uneven.count(start, stop)) / window.length, rounding=rounding,
+    )  # fmt: skip
+
+
+def _weighed(rounding: Rounding, at: Linearised, Si: ComplexArray) -> Rounding:
+    """Return the rounding with what it does to the residual's power and the parameters' scores under S⁻¹."""
+    weight, kept = at.cells.weight, at.cells.kept
+    psi = at.regression.X[..., at.regression.layout.psi]
+    power = np.einsum("k,kcc->c", weight, Si).real / (weight.sum() * Si.shape[1])
+    score = np.einsum("k,kcq->cq", weight[:kept], np.abs(Si[:kept] @ psi) ** 2)
+    own = np.diag(at.cells.gram(Si, psi))
+    return replace(rounding, of_power=power, of_score=np.mean(score / np.maximum(own, 1e-300), axis=1))

@@ -25,7 +25,7 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
     bin_of = np.concatenate([np.arange(bins.kept), bins.high])
     cell_of = np.concatenate([np.arange(bins.kept), bins.kept + bins.group_of]).astype(np.int64)
     residual = np.vstack([np.abs(regression.X[..., -1]) ** 2, np.abs(regression.high) ** 2])
-    power = residual / np.exp(2 * noise.log_sigma)
+    power = residual / noise.white
     level = noise.levels[bin_of]
     columns = slice(regression.layout.psi.start, regression.layout.base)  # parameters and constants
     for channel in range(power.shape[1]):

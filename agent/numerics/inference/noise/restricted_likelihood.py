@@ -46,6 +46,7 @@ class NoiseFit:
         self.R0, self.b = ridge.R, ridge.b
         self.log_sigma, self.log_sigma_var = noise.log_sigma.copy(), noise.log_sigma_var.copy()
         self.intensity = noise.intensity.copy()
+        self._rounding = noise.white - np.exp(2 * noise.log_sigma)
         self.levels = noise.levels
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
@@ -60,10 +61,14 @@ class NoiseFit:
     def refresh(self) -> None:
         """Make S⁻¹, the high power and the Gram anew from today's values."""
         self.high = HighPower(self.cells.response, self._high, self.levels)
-        self.S = self.cells.covariance(self.log_sigma, self.levels, self.intensity)
+        self.S = self.cells.covariance(self._white(), self.levels, self.intensity)
         self.Si = inverse_of(self.S)
         self.G = self.cells.gram(self.Si, self.X)
         self.G[-1, -1] += self.high.quadratic(self.Si)
+
+    def _white(self) -> FloatArray:
+        """Variance (p,) of white noise."""
+        return np.exp(2 * self.log_sigma) + self._rounding
 
     def ridge(self) -> FloatArray:
         """Return the prior precision with the end effects of unknown forces at their intensities."""
@@ -194,7 +199,7 @@ class NoiseFit:
     def _level_step(self, residual: ComplexArray, leverage: FloatArray, carried: Noise) -> None:
         """Expected noise power a bin given the data (EM), added to what was carried."""
         kept, bins = self.cells.kept, self.cells.response.bins
-        variance = np.exp(2 * self.log_sigma)
+        variance = self._white()
         diagonal = np.einsum("kcc->kc", self.Si).real
         own = variance * self.levels[:kept]
         # S is not below its own noise: where forces drown that, rounding must not make the power negative

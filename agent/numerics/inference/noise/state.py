@@ -1,10 +1,11 @@
 """Noise of a rig as known after some windows: sensors' sd, levels of bins, intensities of sources."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agent.numerics.inference import tuning
+from agent.numerics.inference.noise.rounding import Rounding, rounding_after
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.sources import Source
 from agent.types import BoolArray, FloatArray, IntArray
@@ -26,6 +27,7 @@ class Noise:
         walk: variance of the random walk of log σ from window to window; counted: windows behind it.
         information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten;
             0 for the others; None where there are none.
+        rounding: what it adds to σ²; None where it is the same for all readings: σ then has it in.
     """
 
     log_sigma: FloatArray
@@ -41,6 +43,7 @@ class Noise:
     walk: float = tuning.SIGMA_WALK**2
     counted: float = tuning.SIGMA_WALK_DOF
     information: FloatArray | None = None
+    rounding: Rounding | None = None
 
     @classmethod
     def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
@@ -66,8 +69,28 @@ class Noise:
 
     @property
     def unsure(self) -> float:
-        """Variance of log σ, of the sensor known least, in the window to come."""
-        return float(self.log_sigma_var.max()) + self.walk
+        """Variance of the logarithm of white noise's sd, of the sensor known least, in the window to come."""
+        own = (np.exp(self.log_sigma) / self.sd) ** 2
+        return float((own**2 * self.log_sigma_var).max()) + float((own**2).max()) * self.walk
+
+    @property
+    def sd(self) -> FloatArray:
+        """(p,) sd of each output's white noise: the sensor's own and the rounding's."""
+        return np.exp(self.log_sigma) if self.rounding is None else np.sqrt(self.white)
+
+    @property
+    def white(self) -> FloatArray:
+        """(p,) its variance."""
+        own = np.exp(2 * self.log_sigma)
+        return own if self.rounding is None else own + self.rounding.usual
+
+    def of(self, y: FloatArray) -> "Noise":
+        """Return the noise of a window of readings y (W, p), which are rounded as they are."""
+        return self if self.rounding is None else replace(self, rounding=self.rounding.at(y))
+
+    def met(self, y: FloatArray) -> "Noise":
+        """Return the noise with the rounding that one more window of readings y (W, p) shows."""
+        return replace(self, rounding=rounding_after(self.rounding, y))
 
     def differs_from(self, before: "Noise", sources: tuple[Source, ...]) -> bool:
         """Whether an intensity that is large moved by more than a share since an earlier window.

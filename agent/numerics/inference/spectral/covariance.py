@@ -31,12 +31,12 @@ class Cells:
         """(C,) bins of the full DFT that each cell stands for."""
         return self.response.weight
 
-    def covariance(self, log_sigma: FloatArray, levels: FloatArray, intensity: FloatArray) -> ComplexArray:
-        """Return S (C, p, p) for log σ (p,), bin levels (K, p) and intensities (a,)."""
-        p = len(log_sigma)
+    def covariance(self, white: FloatArray, levels: FloatArray, intensity: FloatArray) -> ComplexArray:
+        """Return S (C, p, p) for white noise of variance (p,), bin levels (K, p) and intensities (a,)."""
+        p = len(white)
         power = (intensity**2)[:, None] * self.spectra
         S = (self.D * power.T[:, None, :]) @ self.D.conj().transpose(0, 2, 1)
-        S[:, range(p), range(p)] += np.exp(2 * log_sigma) * self.cell_levels(levels)
+        S[:, range(p), range(p)] += white * self.cell_levels(levels)
         return S
 
     def cell_levels(self, levels: FloatArray) -> FloatArray:

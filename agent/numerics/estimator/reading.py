@@ -17,7 +17,7 @@ from agent.numerics.estimator.tuning import (
     POORER,
 )
 from agent.numerics.inference.mixture import NORMAL_975
-from agent.numerics.inference.noise.rounding import Uneven
+from agent.numerics.inference.noise.rounding import RoundingErrors
 from agent.numerics.inference.noise.state import chance, louder
 from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
@@ -65,7 +65,7 @@ class Reading:
 
 def read(
     windowed: Windowed, point: OperatingPoint, samples: int, repeats: FloatArray | float = 1.0,
-    uneven: Uneven | None = None, jump_before: float = 0.0, far_sd: float = FAR_SD,
+    uneven: RoundingErrors | None = None, jump_before: float = 0.0, far_sd: float = FAR_SD,
 ) -> Reading:  # fmt: skip
     """Return what windows of a length say, constants and intensities as known at the operating point.
 
@@ -103,7 +103,7 @@ def read(
     if uneven is not None:
         power = power / uneven.power(stop - samples, stop)
         alike = dof * uneven.count(stop - samples, stop) / samples
-        told = uneven.told(stop - samples, stop)
+        told = uneven.inflation(stop - samples, stop)
     excess = np.log(power) / chance(alike, point.unsure)
     own_wider = own * widened(told[:, None] * point.wider, again)
     own_wider = own_wider * louder(power, alike, point.unsure)[:, None]

@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.numerics.estimator.doubts import Doubts
 from agent.numerics.estimator.tuning import PLACES, SPARE
-from agent.numerics.inference.noise.rounding import Rounding, Uneven
+from agent.numerics.inference.noise.rounding import Rounding, RoundingErrors
 from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.inference.tuning import MOST_REPEATS
@@ -79,13 +79,15 @@ class Record:
         """Return factors (N,) on the variance, by repeated codes, of windows that end at samples `index`."""
         return by_repeats(self.changes_in(index, window), window)
 
-    def uneven_in(self, index: IntArray, window: int, rounding: Rounding | None) -> Uneven | None:
+    def rounding_errors_in(
+        self, index: IntArray, window: int, rounding: Rounding | None
+    ) -> RoundingErrors | None:
         """Return how uneven the noise of windows that end at samples `index` is; None where it is not."""
         if rounding is None or not len(index):
             return None
         start = int(index[0]) + 1 - window
         before = min(start - self.first, MOST_REPEATS)
-        return Uneven(start, self.outputs(start - before, int(index[-1]) + 1), rounding, before)
+        return RoundingErrors(start, self.outputs(start - before, int(index[-1]) + 1), rounding, before)
 
     def _count(self, marks: BoolArray, index: IntArray, samples: int) -> IntArray:
         """(N,) marks among so many samples that end at samples `index`."""

@@ -171,7 +171,7 @@ class SlidingEstimator:
         far_sd = FARTHEST_SD if self.settings.longer else FAR_SD
         window = self.settings.plan.window
         repeats = record.repeats_in(windowed.index, window)
-        uneven = record.uneven_in(windowed.index, window, point.rounding)
+        uneven = record.rounding_errors_in(windowed.index, window, point.rounding)
         reading = read(windowed, point, window, repeats, uneven, self._jump, far_sd)
         hollow = self._hollow(record, reading.index) | reading.unsolved
         still = self._still(record, reading.index)
@@ -222,7 +222,7 @@ class SlidingEstimator:
             None if windowed is None
             else read(
                 windowed, point, samples, record.repeats_in(windowed.index, samples),
-                record.uneven_in(windowed.index, samples, point.rounding),
+                record.rounding_errors_in(windowed.index, samples, point.rounding),
             )
             for samples, windowed in each
         ]  # fmt: skip

@@ -112,7 +112,7 @@ class Learner:
             predicted = replace(predicted, eta=constants.expected, theta=at.theta)
             at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
         here = _estimate(settled, predicted.eta).at(constants.expected)
-        scatter = known.scatter.after(self._ratio(settled) / settled.told, here)
+        scatter = known.scatter.after(self._ratio(settled) / settled.inflation, here)
         rounding = self.lineariser.rounding_after(settled, noise, before)
         at_window = replace(predicted, noise=replace(noise, rounding=rounding), scatter=scatter)
         posterior = replace(
@@ -243,7 +243,7 @@ class Learner:
         """Information (c, c) and score (c,) of a window about the constants, and where (c,) it has them."""
         S, g, *_ = at.eliminated
         unsure = np.maximum(1 + known.noise.spread.sum(axis=0), 1.0)
-        temper = max(at.repeats, at.told * float(np.mean(known.scatter.factor * unsure)))
+        temper = max(at.repeats, at.inflation * float(np.mean(known.scatter.factor * unsure)))
         return S / temper, g / temper, known.eta
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
@@ -261,7 +261,7 @@ class Learner:
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)
         jump, raw, (excess, beyond), power, dof = self._tests(at, known)
-        wider = widened(at.told * wider * known.scatter.factor, at.repeats)
+        wider = widened(at.inflation * wider * known.scatter.factor, at.repeats)
         wider = wider * louder(power, at.alike * dof, known.noise.unsure)
         extra = u**2 * own * (wider - 1)
         sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
@@ -327,7 +327,7 @@ class Learner:
             at, known, known.constants
         )  # a window of this kind says nothing of the constants
         open_constants = plain.sd**2 - plain.sd_repeat**2
-        misfit = at.told * known.scatter.factor * max(1.0, left / plain.dof)
+        misfit = at.inflation * known.scatter.factor * max(1.0, left / plain.dof)
         stair = fit[nb:] ** 2 / (12 * cuts**2)
         own = at.unit * np.sqrt(np.diag(end @ V @ end.T) * misfit + stair)
         sd = np.sqrt(own**2 + np.maximum(open_constants, 0.0))

@@ -7,7 +7,7 @@ import numpy as np
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge, layout_free
-from agent.numerics.inference.noise.rounding import Rounding, Uneven, reference
+from agent.numerics.inference.noise.rounding import Rounding, RoundingErrors, reference
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge, shifted
 from agent.numerics.inference.scatter import by_repeats
@@ -33,7 +33,7 @@ class Linearised:
         regression, cells: the window there.
         G: Gram of all columns, residual last;  Si: S⁻¹;  ridge: the prior;  converged: it came to rest.
         repeats: factor on the variance, by readings that repeat one code.
-        told: the same by rounding errors that are larger where readings tell more;  jumps: (cuts,) that of
+        inflation: the same by rounding errors that are larger where readings tell more;  jumps: (cuts,) that of
             the scores of jumps;  alike: share of the readings that would tell as much of their power if all
             were rounded alike;  rounding: of the readings, None where it is even.
     """
@@ -47,7 +47,7 @@ class Linearised:
     ridge: Ridge
     converged: bool
     repeats: float
-    told: float
+    inflation: float
     jumps: FloatArray
     alike: float = 1.0
     rounding: Rounding | None = None
@@ -402,11 +402,11 @@ def _sd_of(layout: Layout, gram: FloatArray, priors: list[FloatArray]) -> FloatA
 def _rounded(at: Linearised, window: Window, rounding: Rounding, cuts: IntArray) -> Linearised:
     """Return a window with what the rounding of its readings does there."""
     rounding = _weighed(rounding, at, at.Si)
-    uneven = Uneven(0, window.y, rounding)
+    uneven = RoundingErrors(0, window.y, rounding)
     start = np.array(0)
     stop = np.array(window.length)
     return replace(
-        at, told=float(uneven.told(start, stop)), jumps=uneven.jump(start, cuts, stop),
+        at, inflation=float(uneven.inflation(start, stop)), jumps=uneven.jump(start, cuts, stop),
         alike=float(uneven.count(start, stop)) / window.length, rounding=rounding,
     )  # fmt: skip
 

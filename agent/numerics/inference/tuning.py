@@ -178,7 +178,7 @@ LEAST_WEIGHT = 1e-4  # components below this weight do not move a 2.5 % quantile
 
 # noise/rounding
 MOST_DIGITS = 5  # significant digits at most that a table is taken to be rounded to: a millionth is no noise
-ROUNDED = 1e-6  # of a step by which a decimal number may miss a whole number of them: doubles miss by 1e-11
+ROUNDING = 1e-6  # of a step by which a decimal number may miss a whole number of them: doubles miss by 1e-11
 MOST_REPEATS = 32  # of one code that count: what stands still longer is told by the changes of codes
 LEAST_OWN = 0.01  # of the variance that is assumed, at least: what is not rounding stays
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.inference.tuning import LEAST_OWN, MOST_DIGITS, MOST_REPEATS, ROUNDED
+from agent.numerics.inference.tuning import LEAST_OWN, MOST_DIGITS, MOST_REPEATS, ROUNDING
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -87,7 +87,7 @@ def _steps(y: FloatArray, digits: IntArray) -> FloatArray:
 def _whole(y: FloatArray, step: FloatArray) -> BoolArray:
     """(p,) whether all readings are whole numbers of steps."""
     count = y / step
-    return np.asarray((np.abs(count - np.rint(count)) < ROUNDED).all(axis=0))
+    return np.asarray((np.abs(count - np.rint(count)) < ROUNDING).all(axis=0))
 
 
 def _repeats(y: FloatArray) -> FloatArray:
@@ -102,7 +102,7 @@ def _repeats(y: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(since + 1.0, MOST_REPEATS))
 
 
-class Uneven:
+class RoundingErrors:
     """Variance in parts of a record in units of the one that is assumed, from sums over its readings.
 
     Args:
@@ -139,7 +139,7 @@ class Uneven:
     def _power(self, start: IntArray, stop: IntArray) -> FloatArray:
         return np.moveaxis(self._powers[stop - self._first] - self._powers[start - self._first], -1, 0)
 
-    def told(self, start: IntArray, stop: IntArray) -> FloatArray:
+    def inflation(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return the variance (...) of what readings [start, stop) tell of the parameters."""
         tells, uneven = self._between(start, stop)
         return np.asarray(
@@ -154,5 +154,5 @@ class Uneven:
         """
         before = self._between(start, cut)[0] @ self._rounding.of_score
         after = self._between(cut, stop)[0] @ self._rounding.of_score
-        both = self.told(cut, stop) * before + self.told(start, cut) * after
+        both = self.inflation(cut, stop) * before + self.inflation(start, cut) * after
         return np.asarray(both / np.maximum(before + after, 1e-300))

@@ -9,7 +9,7 @@ from agent.numerics.estimator.memory import from_text, to_text
 from agent.numerics.estimator.record import Record
 from agent.numerics.inference.noise.rounding import (
     Rounding,
-    Uneven,
+    RoundingErrors,
     reference,
     rounding_after,
     significant_digits,
@@ -70,13 +70,13 @@ def test_factors_are_the_sandwich_of_weighted_least_squares() -> None:
     x = rng.uniform(0.01, 0.2, (500, 1))  # no reading twice
     sigma2, cut = 2e-9, 180
     known = Rounding(np.array([3]), np.array([4e-9]), np.array([1 / 6e-9]), np.array([1 / 6e-9]))
-    uneven = Uneven(100, x, known)
+    uneven = RoundingErrors(100, x, known)
     true = sigma2 + known.variance(x).ravel()
     assumed = sigma2 + known.usual[0]
     weight = x.ravel() ** 2
     start, stop = np.array(100), np.array(600)
     told = (weight @ true) / weight.sum() / assumed
-    assert uneven.told(start, stop) == pytest.approx(told, rel=1e-12)
+    assert uneven.inflation(start, stop) == pytest.approx(told, rel=1e-12)
     assert uneven.power(start, stop) == pytest.approx(true.mean() / assumed, rel=1e-12)
     assert uneven.count(start, stop) == pytest.approx(true.sum() ** 2 / (true**2).sum(), rel=1e-12)
     # score of a jump: the column after the cut less what the parameter takes of it
@@ -89,7 +89,7 @@ def test_factors_are_the_sandwich_of_weighted_least_squares() -> None:
 def test_a_code_that_repeats_itself_counts_more_each_time() -> None:
     known = Rounding(np.array([3]), np.zeros(1), np.ones(1), np.ones(1))
     fresh, repeated = np.array([[0.123], [0.124], [0.123], [0.124]]), np.full((4, 1), 0.123)
-    each = [Uneven(0, y, known).told(np.array(0), np.array(4)) - 1 for y in (fresh, repeated)]
+    each = [RoundingErrors(0, y, known).inflation(np.array(0), np.array(4)) - 1 for y in (fresh, repeated)]
     assert each[1] / each[0] == pytest.approx((1 + 2 + 3 + 4) / 4)
 
 
@@ -107,14 +107,14 @@ def test_record_gives_rows_the_same_however_many_are_asked_for() -> None:
     assert known is not None
     known = replace(known.at(y), of_power=np.full(2, 1e7), of_score=np.full(2, 1e7))
     index = np.arange(7 + 999, 7 + 1999, 50)
-    all_at_once = kept.uneven_in(index, 500, known)
+    all_at_once = kept.rounding_errors_in(index, 500, known)
     assert all_at_once is not None
-    together = all_at_once.told(index + 1 - 500, index + 1)
+    together = all_at_once.inflation(index + 1 - 500, index + 1)
     assert np.ptp(together) > 0.05
     for i, one in zip(index, together, strict=True):
-        alone = kept.uneven_in(np.array([i]), 500, known)
+        alone = kept.rounding_errors_in(np.array([i]), 500, known)
         assert alone is not None
-        assert alone.told(i + 1 - 500, i + 1) == pytest.approx(one, rel=1e-9)
+        assert alone.inflation(i + 1 - 500, i + 1) == pytest.approx(one, rel=1e-9)
 
 
 def test_windows_are_learnt_from_and_remembered_with_their_rounding() -> None:

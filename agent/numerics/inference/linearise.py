@@ -33,9 +33,9 @@ class Linearised:
         regression, cells: the window there.
         G: Gram of all columns, residual last;  Si: S⁻¹;  ridge: the prior;  converged: it came to rest.
         repeats: factor on the variance, by readings that repeat one code.
-        inflation: the same by rounding errors that are larger where readings tell more;  jumps: (cuts,) that
-            of the scores of jumps;  alike: share of the readings that would tell as much of their power if all
-            were rounded alike;  rounding: of the readings, None where it is even.
+        inflation: the same by rounding errors that are larger where readings tell more;  jumps: (cuts,) the
+            same of the scores of jumps;  alike: share of the readings that would tell as much of their power
+            if all were rounded alike;  rounding: of the readings, None where it is even.
     """
 
     theta: FloatArray

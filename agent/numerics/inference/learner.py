@@ -23,7 +23,7 @@ from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, blo
 from agent.numerics.inference.spectral.algebra import inverse, quadratic
 from agent.numerics.inference.spectral.columns import Regressor, Window
 from agent.numerics.inference.spectral.sources import sources_of
-from agent.numerics.inference.tuning import FIRM, NOISE_PASS
+from agent.numerics.inference.tuning import FIRM, LOOKS_AN_EVALUATION, NOISE_PASS
 from agent.numerics.model.uncertain import Rig
 from agent.types import FloatArray
 
@@ -152,7 +152,7 @@ class Learner:
         least = self._least(known.noise)
         lined = with_lines(known.noise, at.cells, at.regression)
         noise, fit = learn(lined, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
-        self.lineariser.evaluations += NOISE_PASS
+        self._count(fit)
         noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
         return noise, self.lineariser.without_jumps(at, window, noise, fit)
 
@@ -236,7 +236,12 @@ class Learner:
         _, fit = learn(
             open_minded, at.cells, at.regression, self.sources, ridge, None, least, shaken=True, anew=True
         )
+        self._count(fit)
         return before, fit
+
+    def _count(self, fit: NoiseFit) -> None:
+        """Note what learning the noise of a window cost."""
+        self.lineariser.evaluations += NOISE_PASS + fit.looks // LOOKS_AN_EVALUATION
 
     # ------------------------------------------------------------------ what it says
     def _information(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, FloatArray]:

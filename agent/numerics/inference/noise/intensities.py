@@ -36,6 +36,7 @@ def strongest(fit: NoiseFit, among: IntArray, nodes: FloatArray) -> FloatArray:
     while left:
         scan = Scan(fit, np.zeros_like(nodes), nodes, every=True, pred=None)
         found = [scan.best(a) for a in left]
+        fit.looks += len(left)
         most = int(np.argmax([gain for gain, _ in found]))
         gain, intensity = found[most]
         if not gain > 0:

@@ -36,6 +36,7 @@ class NoiseFit:
     Attributes:
         there: (t,) sources whose variances are sought together with σ;  information: (t, t) of these, this
             window's in it once it was scored.
+        looks: steps of joint fits, and whole grids looked at, so far.
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class NoiseFit:
         self.there = noise.there(sources)
         self.information = noise.firmness(self.there, sources)
         self._firm = self.information
+        self.looks = 0
         self._carried = noise.intensity[self.there] ** 2
         self._least = noise.nodes[self.there, :1].ravel() ** 2
 
@@ -232,6 +234,7 @@ class NoiseFit:
         spectra = np.concatenate([cells.cell_levels(self.levels).T, cells.spectra])
         prior = np.concatenate([0.25 / prior_var, np.full(len(self.sources), 1e-2)])
         for _ in range(steps):
+            self.looks += 1
             self.refresh()
             v = np.concatenate([np.exp(2 * self.log_sigma), self.intensity**2])
             score, F = self._average_information(d, spectra, v, kept)
@@ -261,19 +264,15 @@ class NoiseFit:
         if len(self.high.R):
             grouped = np.einsum("kaa->ka", SDH[kept:] @ self.high.R @ SD[kept:]).real
             power[kept:] = grouped / np.maximum(weight[kept:, None], 1e-300)
-        Y = (SDH[:kept] @ self.X[..., :nb]).reshape(-1, nb)
+        columns = self.X[..., :nb]
+        fitted = (columns.reshape(-1, nb) @ V).reshape(columns.shape) @ columns.conj().transpose(0, 2, 1)
         leverage = np.zeros((len(weight), count))
-        lev = ((Y.real @ V) * Y.real).sum(axis=1) + ((Y.imag @ V) * Y.imag).sum(axis=1)
-        leverage[:kept] = lev.reshape(kept, count)
+        leverage[:kept] = ((fitted @ SD[:kept]) * SD[:kept].conj()).sum(axis=1).real
         DD = d.conj().transpose(0, 2, 1) @ SD
         weighted = weight * spectra
         excess = power - np.einsum("kaa->ka", DD).real + leverage
         score = 0.5 * v * np.einsum("ak,ka->a", weighted, excess)
-        F = (
-            0.5
-            * np.outer(v, v)
-            * np.einsum("ak,kab,bk->ab", weighted, np.abs(DD) ** 2, spectra, optimize=True)
-        )
+        F = 0.5 * np.outer(v, v) * np.einsum("ak,kab,bk->ab", weighted, np.abs(DD) ** 2, spectra)
         return score, F
 
 

@@ -105,6 +105,8 @@ def _repeats(y: FloatArray) -> FloatArray:
 class RoundingErrors:
     """Variance in parts of a record in units of the one that is assumed, from sums over its readings.
 
+    None is below 1: quieter readings than the filters count on are learnt from before they are relied on.
+
     Args:
         first: number of the first reading.
         y: (N, p) readings;  rounding: of them.
@@ -129,7 +131,7 @@ class RoundingErrors:
 
     def power(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return the expected power (...) of residuals of readings [start, stop)."""
-        return np.asarray(self._power(start, stop)[0] / (stop - start))
+        return np.maximum(self._power(start, stop)[0] / (stop - start), 1.0)
 
     def count(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return how many (...) even readings tell as much of the power as readings [start, stop) do."""
@@ -141,6 +143,9 @@ class RoundingErrors:
 
     def inflation(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return the variance (...) of what readings [start, stop) tell of the parameters."""
+        return np.maximum(self._told(start, stop), 1.0)
+
+    def _told(self, start: IntArray, stop: IntArray) -> FloatArray:
         tells, uneven = self._between(start, stop)
         return np.asarray(
             np.maximum(1 + (uneven / np.maximum(tells, 1e-300)) @ self._rounding.of_score, LEAST_OWN)
@@ -154,5 +159,5 @@ class RoundingErrors:
         """
         before = self._between(start, cut)[0] @ self._rounding.of_score
         after = self._between(cut, stop)[0] @ self._rounding.of_score
-        both = self.inflation(cut, stop) * before + self.inflation(start, cut) * after
-        return np.asarray(both / np.maximum(before + after, 1e-300))
+        both = self._told(cut, stop) * before + self._told(start, cut) * after
+        return np.maximum(both / np.maximum(before + after, 1e-300), 1.0)

@@ -86,6 +86,14 @@ def test_factors_are_the_sandwich_of_weighted_least_squares() -> None:
     assert uneven.jump(start, np.array(100 + cut), stop) == pytest.approx(score, rel=1e-12)
 
 
+def test_readings_quieter_than_filters_count_on_are_not_relied_on() -> None:
+    fine = as_a_table(motion() / 10, 3)[:, :1] + 0.02  # less than 0.1: a hundredth of the usual variance
+    known = Rounding(np.array([3]), np.array([1e-3]) ** 2 / 12, np.full(1, 1e7), np.full(1, 1e7))
+    errors = RoundingErrors(0, fine, known)
+    start, cut, stop = np.array(0), np.array(700), np.array(len(fine))
+    assert errors.power(start, stop) == errors.inflation(start, stop) == errors.jump(start, cut, stop) == 1.0
+
+
 def test_a_code_that_repeats_itself_counts_more_each_time() -> None:
     known = Rounding(np.array([3]), np.zeros(1), np.ones(1), np.ones(1))
     fresh, repeated = np.array([[0.123], [0.124], [0.123], [0.124]]), np.full((4, 1), 0.123)

@@ -82,9 +82,13 @@ def _leakage(level: FloatArray, power: FloatArray, bin_of: IntArray) -> FloatArr
     for k in 1 + np.flatnonzero((inner > tuning.LINE_POWER) & (inner >= level[:-2]) & (inner > level[2:])):
         if bin_of[k + 1] - bin_of[k - 1] > 2:
             continue  # only an even spread of the high bins is at hand there
-        here, left, right = np.sqrt([power[k], power[k - 1], power[k + 1]])
+        # what forces leave in the bins about it is no part of the line
+        others = power[max(0, k - tuning.LINE_NEIGHBOURS) : k + tuning.LINE_NEIGHBOURS + 1]
+        own = np.maximum(power[k - 1 : k + 2] - np.median(others) / MEDIAN, 0.0)
+        size = min(own[1], level[k])
+        left, here, right = np.sqrt(own)
         off = between(here, left, right)
         apart = np.where(np.abs(bin_of - bin_of[k]) > 1, bin_of - bin_of[k] - off, np.inf)
         share = np.sin(np.pi * off) / max(abs(np.sinc(off)), 1e-6)
-        out = np.maximum(out, 1 + power[k] * (share / (np.pi * apart)) ** 2)
+        out = np.maximum(out, 1 + size * (share / (np.pi * apart)) ** 2)
     return np.where(out > 1.2, out, 0.0)

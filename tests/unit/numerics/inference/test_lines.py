@@ -1,9 +1,24 @@
-"""Where a line stands between its bin and the one beside it."""
+"""Where a line stands between its bin and the one beside it, and what of it leaks into others."""
 
 import numpy as np
 import pytest
 
-from agent.numerics.inference.noise.lines import between
+from agent.numerics.inference.noise.lines import _leakage, between
+
+BINS = np.arange(501)
+
+
+def power_of(cycles: float, background: float, seed: int = 1) -> np.ndarray:
+    """Power of a line of 10,000 σ² in noise that is `background` σ² in each bin."""
+    line = np.fft.rfft(np.cos(2 * np.pi * cycles * np.arange(1000) / 1000 + 0.3)) / 500
+    rng = np.random.default_rng(seed)
+    noise = np.sqrt(0.5 * background) * (rng.standard_normal(501) + 1j * rng.standard_normal(501))
+    return np.asarray(np.abs(100 * line + noise) ** 2)
+
+
+def level_of(power: np.ndarray) -> np.ndarray:
+    """What is known of the bins: the line, and that nothing else is there."""
+    return np.where(power > 0.5 * power.max(), power, 1.0)
 
 
 @pytest.mark.parametrize("cycles", [40.0, 40.2, 40.45, 39.8, 39.55])
@@ -15,3 +30,18 @@ def test_line_between_two_bins_is_found_from_their_amplitudes(cycles: float) -> 
 
 def test_line_of_which_a_window_shows_nothing_is_at_its_bin() -> None:
     assert between(0.0, 0.0, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("cycles", [40.2, 40.4, 39.7])
+def test_leakage_is_that_of_the_line(cycles: float) -> None:
+    power = power_of(cycles, 0.0)
+    found = _leakage(level_of(power), power, BINS)
+    for k in (36, 38, 42, 45):
+        assert found[k] - 1 == pytest.approx(power[k], rel=0.2)
+
+
+def test_what_forces_leave_beside_a_line_does_not_leak_with_it() -> None:
+    power = power_of(40.0, 1e6)
+    level = np.where(BINS == 40, 1e4, 1.0)
+    # a line in its bin leaks nowhere; the work of forces, a hundred times as strong, took the line for it
+    assert _leakage(level, power, BINS)[np.abs(BINS - 40) > 8].max() < 10

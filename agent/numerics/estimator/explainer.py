@@ -21,6 +21,7 @@ from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.schedule import Budget, Disturbance, Schedule, samples_an_evaluation
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.tuning import (
+    AGAIN,
     LASTS,
     LEAST_WINDOWS,
     LONGEST,
@@ -66,7 +67,8 @@ class Explainer:
         self._learnt_at = 0
         self._counted = 0
         self._owed = False  # a window that was due to be learnt from waits for the budget
-        self._moves = False
+        self._moves = False  # the newest window looked at holds parameters that run on
+        self._ran_at = -(1 << 60)
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
 
     def interrupted(self) -> None:
@@ -384,7 +386,16 @@ class Explainer:
             return False
         if self._runs_on(window, newest):
             return False
-        return self._relearn(record, window, posterior, newest, jumps=posterior.changing)
+        return self._relearn(record, window, posterior, newest, jumps=self._may_jump(posterior, newest))
+
+    def _may_jump(self, posterior: Posterior, newest: int) -> bool:
+        """Whether a jump may break a window: not where rows are broken for long and no line explains them.
+
+        Their windows would each have to hold another one.
+        """
+        length = self.settings.plan.window
+        soon = newest - (self.disturbance.onset or newest) < AGAIN * length
+        return posterior.changing and (soon or newest - self._ran_at < length)
 
     def _relearn(
         self, record: Record, window: Window, posterior: Posterior, newest: int, *, jumps: bool
@@ -407,6 +418,7 @@ class Explainer:
         line = self.learner.line(window, self._known_at(self.known, newest))
         self._moves = line.holds
         if line.holds:
+            self._ran_at = newest
             self.lines[newest] = line.end
             self.schedule.skip(newest)
             self.known = replace(self.known, theta=line.middle)

@@ -49,6 +49,8 @@ class OperatingPoint:
         shape: how the constants' mixture differs from one Gaussian.
         unsure: variance of log σ that the misfit allows for.
         scatter: largest factor by which jump statistics are divided.
+        slide, slid: root of what a gain that drifts adds to statistics of jumps by what it does inside a
+            window, and (q,) sd of what it does to parameters.
         rounding: of the readings that the noise is of; None where it is the same for all.
         slopes: inputs are followed by their slopes.
     """
@@ -63,6 +65,8 @@ class OperatingPoint:
     shape: Shape
     unsure: float
     scatter: float
+    slide: float
+    slid: FloatArray
     rounding: Rounding | None
     slopes: bool
 
@@ -96,7 +100,8 @@ def operating_point(
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
         model, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
-        noise.unsure, max(1.0, float(known.scatter.within.max())), noise.rounding,
+        noise.unsure, max(1.0, float(known.scatter.within.max())), posterior.slide, posterior.slid,
+        noise.rounding,
         at.late is not None,
     )  # fmt: skip
 

@@ -109,20 +109,10 @@ def read(
     own_wider = own_wider * louder(power, alike, point.unsure)[:, None]
     # a row that is far from the point carries the term of second order that it neglects, until it is solved
     neglected = np.where(far.any(axis=1)[:, None], d[:, :q] ** 2, 0.0)
-    repeat = point.unit * np.hypot(np.sqrt(own_wider), neglected)
+    repeat = np.hypot(point.unit * np.hypot(np.sqrt(own_wider), neglected), point.slid)
     shape = point.shape
     width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
-    jump = np.full(len(rss), jump_before)
-    if windowed.jumps is not None and len(windowed.jumps.index):
-        at = np.searchsorted(windowed.index, windowed.jumps.index)
-        each = windowed.jumps.glr(d[at], covariance[at])
-        if uneven is not None:
-            end = stop[at][:, None]
-            each = each / uneven.jump(end - samples, end - np.array(windowed.jumps.samples), end)
-        found = each.max(axis=1, initial=0.0) / (np.maximum(1.0, power[at]) * point.scatter)
-        # a row that is not scanned shows what the newest one before it that was did
-        place = np.searchsorted(at, np.arange(len(rss)), side="right") - 1
-        jump = np.where(place >= 0, found[np.maximum(place, 0)], jump_before)
+    jump = _jumps(windowed, d, covariance, power, point, uneven, samples, jump_before)
     centre, half = theta + shape.centre * by_constants, NORMAL_975 * width
     even = np.abs(shape.centre - shape.mean) * by_constants < EVEN * width
     centre = np.where(even, theta + shape.mean * by_constants, centre)
@@ -131,6 +121,25 @@ def read(
         excess,
         far.any(axis=1), dof, samples, windowed.unsolved, _found(windowed, d, covariance),
     )  # fmt: skip
+
+
+def _jumps(
+    windowed: Windowed, d: FloatArray, covariance: FloatArray, power: FloatArray, point: OperatingPoint,
+    uneven: RoundingErrors | None, samples: int, before: float,
+) -> FloatArray:  # fmt: skip
+    """(N,) largest statistics of jumps; a row that is not scanned shows what the newest before it did."""
+    if windowed.jumps is None or not len(windowed.jumps.index):
+        return np.full(len(power), before)
+    at = np.searchsorted(windowed.index, windowed.jumps.index)
+    each = windowed.jumps.glr(d[at], covariance[at])
+    if uneven is not None:
+        end = windowed.index[at][:, None] + 1
+        each = each / uneven.jump(end - samples, end - np.array(windowed.jumps.samples), end)
+    found = each.max(axis=1, initial=0.0) / (np.maximum(1.0, power[at]) * point.scatter)
+    if point.slide > 0:
+        found = np.maximum(np.sqrt(found) - point.slide, 0.0) ** 2
+    place = np.searchsorted(at, np.arange(len(power)), side="right") - 1
+    return np.where(place >= 0, found[np.maximum(place, 0)], before)
 
 
 def _found(windowed: Windowed, d: FloatArray, covariance: FloatArray) -> dict[int, Found]:

@@ -302,6 +302,16 @@ class Constants:
         """Probability that some constant changes from window to window."""
         return float(sum(w for w, h in zip(self.weight, self.hypotheses, strict=True) if h.drifts))
 
+    @property
+    def slide(self) -> tuple[int, float]:
+        """The constant that changes most from window to window, and by how much (sd); 0 where none does."""
+        if self.drift_probability <= tuning.DRIFT_FOLLOWED:
+            return 0, 0.0
+        each = [w * np.diag(h.walk) for w, h in zip(self.weight, self.hypotheses, strict=True) if h.drifts]
+        variance = np.sum(each, axis=0)
+        most = int(np.argmax(variance))
+        return most, float(np.sqrt(variance[most]))
+
     def probability(self, name: str) -> float:
         """Return the probability that what is called `name` is off or drifts."""
         return float(

@@ -3,7 +3,7 @@
 window -> Gauss-Newton about θ_r -> jump? unexplained? -> noise -> hypotheses on the constants -> posterior
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -26,6 +26,27 @@ from agent.numerics.inference.spectral.sources import sources_of
 from agent.numerics.inference.tuning import FIRM, LOOKS_AN_EVALUATION, NOISE_PASS
 from agent.numerics.model.uncertain import Rig
 from agent.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Tests:
+    """What two tests say of one window.
+
+    Attributes:
+        jump: (cuts,) statistics of jumps;  raw: not divided by the misfit.
+        excess, beyond: misfit without and with the best jump, predictive sds.
+        power: of the residual, per degree of freedom;  dof: these.
+        slide: root of what a gain that drifts adds to `jump`;  slid: (q,) what it does to the parameters.
+    """
+
+    jump: FloatArray
+    raw: FloatArray
+    excess: float
+    beyond: float
+    power: float
+    dof: float
+    slide: float
+    slid: FloatArray
 
 
 class Learner:
@@ -96,8 +117,8 @@ class Learner:
         known = self.lineariser.prepared(window, _met(window, known))
         predicted = replace(known, constants=known.constants.predicted(later))
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
-        jump, raw, (excess, beyond), *_ = self._tests(at, predicted)
-        if (self._jumps(jump) and not believe) or not at.converged:
+        tests = self._tests(at, predicted)
+        if (self._jumps(tests.jump) and not believe) or not at.converged:
             return self._posterior(at, predicted), known
         for _ in range(tuning.ROUNDS):
             noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
@@ -117,7 +138,8 @@ class Learner:
         at_window = replace(predicted, noise=replace(noise, rounding=rounding), scatter=scatter)
         posterior = replace(
             self._posterior(settled, at_window, constants),
-            jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
+            jump=tests.jump, jump_raw=tests.raw, excess=tests.excess, beyond_jump=tests.beyond,
+            slide=tests.slide, slid=tests.slid,
         )  # fmt: skip
         posterior = replace(posterior, rubs=self._rubs(settled, at_window, posterior))
         theta, information = self.lineariser.nearer(settled, known, predicted.eta, here.eta)
@@ -265,40 +287,57 @@ class Learner:
         mean = after.weight @ means
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)
-        jump, raw, (excess, beyond), power, dof = self._tests(at, known)
+        tests = self._tests(at, known)
         wider = widened(at.inflation * wider * known.scatter.factor, at.repeats)
-        wider = wider * louder(power, at.alike * dof, known.noise.unsure)
-        extra = u**2 * own * (wider - 1)
+        wider = wider * louder(tests.power, at.alike * tests.dof, known.noise.unsure)
+        extra = u**2 * own * (wider - 1) + tests.slid**2
         sds = np.sqrt(np.maximum(variance + extra, 0.3 * variance))
         lower, upper = interval95(after.weight, means, sds)
         return Posterior(
             theta=mean, sd=(upper - lower) / (2 * NORMAL_975), lower=lower, upper=upper,
             linear=at.theta + u * (alone - Z @ (after.standing[0] - known.eta)),
             sd_repeat=np.sqrt(np.maximum(u**2 * own + extra, 0.3 * u**2 * own)), sensitivity=-u[:, None] * Z,
-            converged=at.converged, jump=jump, jump_raw=raw, excess=excess, beyond_jump=beyond,
-            changing=self._jumps(jump), dof=dof,
+            converged=at.converged, jump=tests.jump, jump_raw=tests.raw, excess=tests.excess,
+            beyond_jump=tests.beyond, changing=self._jumps(tests.jump), slide=tests.slide, slid=tests.slid,
+            dof=tests.dof,
         )  # fmt: skip
 
     def _jumps(self, jump: FloatArray) -> bool:
         """Whether a statistic of jumps (cuts,) tells one."""
         return bool(len(jump) and jump.max() > self.threshold)
 
-    def _tests(
-        self, at: Linearised, known: Knowledge
-    ) -> tuple[FloatArray, FloatArray, tuple[float, float], float, float]:
-        """Jump statistics; misfit without and with the best jump, predictive sds; power per dof; dof."""
+    def _tests(self, at: Linearised, known: Knowledge) -> _Tests:
+        """Whether a window holds a change, and whether what is known explains it."""
         layout = at.regression.layout
         nb = layout.base
         V = inverse(at.G[:nb, :nb] + at.ridge.R)
         fit = V @ (at.G[:nb, -1] + at.ridge.b)
         rss = float(at.G[-1, -1] - (at.G[:nb, -1] + at.ridge.b) @ fit)
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
-        raw = np.array([self._jump(at, V, fit, i) for i in range(layout.cuts)])
+        raw = np.array([self._jump(at, V, at.G[:, -1], fit, i) for i in range(layout.cuts)])
         left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
         expected = chance(at.alike * dof, known.noise.unsure)
         excess, beyond = np.log(left / dof) / expected * bool(known.noise.windows)
         misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max())) * at.jumps
-        return raw / misfit, raw, (float(excess), float(beyond)), rss / dof, dof
+        jump = raw / misfit
+        slide = 0.0
+        slid = np.zeros(self.rig.q)
+        if at.slide is not None:
+            by_slide, slid = self._slid(at, V)
+            jump = np.maximum(np.sqrt(jump) - np.sqrt(by_slide / misfit), 0.0) ** 2
+            raw = np.maximum(np.sqrt(raw) - np.sqrt(by_slide), 0.0) ** 2
+            slide = float(np.sqrt(by_slide / misfit).max(initial=0.0))
+        return _Tests(jump, raw, float(excess), float(beyond), rss / dof, dof, slide, slid)
+
+    def _slid(self, at: Linearised, V: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Score statistics (cuts,) of jumps, and parameters (q,), where a gain changes evenly in a window."""
+        assert at.slide is not None  # noqa: S101 - set by whoever calls
+        nb = at.regression.layout.base
+        columns = np.concatenate([at.regression.X[..., :-1], at.slide[..., None]], axis=2)
+        score = at.cells.gram(at.Si, columns)[:, -1]
+        fit = V @ score[:nb]
+        jumps = np.array([self._jump(at, V, score, fit, i) for i in range(at.regression.layout.cuts)])
+        return jumps, at.unit * fit[at.regression.layout.psi]
 
     def line(self, window: Window, known: Knowledge) -> Line:
         """Return what a window says if its parameters move on and on through it.
@@ -345,13 +384,16 @@ class Learner:
         moves = bool(np.any(np.abs(fit[nb:]) > tuning.AGREE_SD * np.sqrt(np.diag(V)[nb:] * misfit)))
         return Line(said, np.asarray(np.maximum(middle, self.rig.lower)), moves)
 
-    def _jump(self, at: Linearised, V: FloatArray, fit: FloatArray, i: int) -> float:
-        """Score statistic of a jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108)."""
+    def _jump(self, at: Linearised, V: FloatArray, score: FloatArray, fit: FloatArray, i: int) -> float:
+        """Score statistic of a jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108).
+
+        score: of all columns;  fit (base,): what the base columns take of it.
+        """
         nb = at.regression.layout.base
         t = at.regression.layout.jump(i)
         cross = at.G[:nb, t]
         J = at.G[t, t] - cross.T @ V @ cross
-        g = at.G[t, -1] - cross.T @ fit
+        g = score[t] - cross.T @ fit
         return quadratic(J, g)
 
     def _ratio(self, at: Linearised) -> FloatArray:

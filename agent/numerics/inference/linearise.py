@@ -32,6 +32,7 @@ class Linearised:
         theta: (q,) the point;  unit: (q,) size of a deviation of 1.
         regression, cells: the window there.
         G: Gram of all columns, residual last;  Si: S⁻¹;  ridge: the prior;  converged: it came to rest.
+        slide: (kept, p) what the gain that drifts does inside the window; None where none does.
         repeats: factor on the variance, by readings that repeat one code.
         inflation: the same by rounding errors that are larger where readings tell more;  jumps: (cuts,) the
             same of the scores of jumps;  alike: share of the readings that would tell as much of their power
@@ -49,6 +50,7 @@ class Linearised:
     repeats: float
     inflation: float
     jumps: FloatArray
+    slide: ComplexArray | None = None
     alike: float = 1.0
     rounding: Rounding | None = None
 
@@ -215,6 +217,9 @@ class Lineariser:
         at = Linearised(
             theta, response.at.unit, regression, cells, G, Si, ridge, True, repeats, 1.0, np.ones(len(cuts))
         )
+        number, size = known.constants.slide
+        if size > 0:
+            at = replace(at, slide=size * regressor.slide(window, self.rig.constants[number]))
         return at if noise.rounding is None else _rounded(at, window, noise.rounding, cuts)
 
     def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:

@@ -53,6 +53,8 @@ class Posterior:
         excess: predictive standard deviations by which the residual's power is too large;  beyond_jump: the
             same of what the best jump leaves.
         changing: a jump fits beyond what chance allows.
+        slide: root of what a gain that drifts adds to `jump` by what it does inside the window;  slid: (q,)
+            sd of what it does to the parameters, in `sd` and `sd_repeat`.
         dof: degrees of freedom of the residual.
         rubs: dry friction that the model has no term for is evident, and moves an estimate by more than its
             sd.
@@ -71,6 +73,8 @@ class Posterior:
     excess: float
     beyond_jump: float
     changing: bool
+    slide: float
+    slid: FloatArray
     dof: float
     rubs: bool = False
 

@@ -131,7 +131,7 @@ class RoundingErrors:
 
     def power(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return the expected power (...) of residuals of readings [start, stop)."""
-        return np.maximum(self._power(start, stop)[0] / (stop - start), 1.0)
+        return np.asarray(np.maximum(self._power(start, stop)[0] / (stop - start), 1.0))
 
     def count(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return how many (...) even readings tell as much of the power as readings [start, stop) do."""
@@ -143,7 +143,7 @@ class RoundingErrors:
 
     def inflation(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return the variance (...) of what readings [start, stop) tell of the parameters."""
-        return np.maximum(self._told(start, stop), 1.0)
+        return np.asarray(np.maximum(self._told(start, stop), 1.0))
 
     def _told(self, start: IntArray, stop: IntArray) -> FloatArray:
         tells, uneven = self._between(start, stop)
@@ -160,4 +160,4 @@ class RoundingErrors:
         before = self._between(start, cut)[0] @ self._rounding.of_score
         after = self._between(cut, stop)[0] @ self._rounding.of_score
         both = self._told(cut, stop) * before + self._told(start, cut) * after
-        return np.maximum(both / np.maximum(before + after, 1e-300), 1.0)
+        return np.asarray(np.maximum(both / np.maximum(before + after, 1e-300), 1.0))

@@ -9,7 +9,7 @@ import numpy as np
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response, end_states
 from agent.numerics.inference.spectral.sources import Source, end_effect
-from agent.numerics.model.uncertain import CURVED, Rig, columns_of, gains_of
+from agent.numerics.model.uncertain import CURVED, Constant, Rig, columns_of, gains_of
 from agent.types import ComplexArray, FloatArray, IntArray
 
 Weigh = Callable[[ComplexArray], FloatArray]
@@ -228,6 +228,19 @@ class Regressor:
             high = fy[bins.high] - above
         power = np.abs(np.vstack([modelled, above])) ** 2
         return Regression(X_all, high, X, power, self.layout(window, len(cuts)))
+
+    def slide(self, window: Window, constant: Constant) -> ComplexArray:
+        """Return what a gain that grows by 1 evenly through a window does (kept, p): 0 at the middle."""
+        kept, W = self.response.bins.kept, window.length
+        growth = ((np.arange(W) + 0.5) / W - 0.5)[:, None]
+        out = np.zeros((kept, len(self.output_gain)), dtype=complex)
+        if constant.kind == "output":
+            out[:, constant.number] = unitary(growth * window.y)[:kept, constant.number]
+        elif constant.kind == "input":
+            grown = unitary(growth * self.inputs(window))[:kept]
+            taps = columns_of(self.rig, constant.number, self.response.at).tolist()
+            out = np.sum([self.response.driven(j, grown[:, j]) for j in taps], axis=0) * self.output_gain
+        return out
 
     def _outputs(self, X: ComplexArray, U: ComplexArray) -> ComplexArray:
         at = self.response.at

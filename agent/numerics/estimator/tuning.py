@@ -48,7 +48,9 @@ SELDOM, SELDOM_SAMPLES = 256, 256_000  # windows between two learnt from, or sam
 LATEST = 5  # doublings of the time between tries at windows that cannot be solved: eight windows, at the most
 FOLLOWED = 8  # windows learnt from in a row where the noise changed: of slow forces each says little
 TRIES = 8  # tries a window length to solve windows that are broken
-AGAIN = 3  # windows within which parameters that change twice are rather pushed by unmeasured forces
+AGAIN = (
+    3  # windows in which parameters that change twice, or rows that stay broken, are rather pushed by forces
+)
 LASTS = 1.5  # windows that one change is in the way at the most; what lasts longer may be forces that began
 BURST = 480  # evaluations that may follow one another: a step and its aftermath
 FIRST = 192  # evaluations besides, once: the first 32 windows, which take six each where the model fits

@@ -40,7 +40,7 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
                 break
             level[found[0], channel] *= found[1]
         level[:, channel] = np.maximum(
-            level[:, channel], _leakage(level[:, channel], power[:, channel], bin_of)
+            level[:, channel], _leakage(level[:, channel], power[:, channel], bin_of, noise.shows_colours)
         )
     raised = noise.power.copy()
     raised[bin_of] = noise.dof[bin_of] * level
@@ -75,17 +75,23 @@ def between(here: float, left: float, right: float) -> float:
     return off if right > left else -off
 
 
-def _leakage(level: FloatArray, power: FloatArray, bin_of: IntArray) -> FloatArray:
-    """Return lines' leakage into bins about them (b,), in σ²: A² sin²(π δ) / (π (k − f))², 0 elsewhere."""
+def _leakage(level: FloatArray, power: FloatArray, bin_of: IntArray, alone: bool) -> FloatArray:
+    """Return lines' leakage into bins about them (b,), in σ²: A² sin²(π δ) / (π (k − f))², 0 elsewhere.
+
+    alone: of the lines alone. In windows too short to show colours what a model lacks is no force's either,
+    and leaks with them.
+    """
     out = np.zeros(len(level))
     inner = level[1:-1]
     for k in 1 + np.flatnonzero((inner > tuning.LINE_POWER) & (inner >= level[:-2]) & (inner > level[2:])):
         if bin_of[k + 1] - bin_of[k - 1] > 2:
             continue  # only an even spread of the high bins is at hand there
-        # what forces leave in the bins about it is no part of the line
-        others = power[max(0, k - tuning.LINE_NEIGHBOURS) : k + tuning.LINE_NEIGHBOURS + 1]
-        own = np.maximum(power[k - 1 : k + 2] - np.median(others) / MEDIAN, 0.0)
-        size = min(own[1], level[k])
+        own = power[k - 1 : k + 2]
+        size = own[1]
+        if alone:  # what forces leave in the bins about it is no part of the line
+            others = power[max(0, k - tuning.LINE_NEIGHBOURS) : k + tuning.LINE_NEIGHBOURS + 1]
+            own = np.maximum(own - np.median(others) / MEDIAN, 0.0)
+            size = min(own[1], level[k])
         left, here, right = np.sqrt(own)
         off = between(here, left, right)
         apart = np.where(np.abs(bin_of - bin_of[k]) > 1, bin_of - bin_of[k] - off, np.inf)

@@ -99,13 +99,13 @@ def read(
     stop = windowed.index + 1
     power = rss / dof
     alike = dof
-    told = np.ones(1)
+    inflation = np.ones(1)
     if uneven is not None:
         power = power / uneven.power(stop - samples, stop)
         alike = dof * uneven.count(stop - samples, stop) / samples
-        told = uneven.inflation(stop - samples, stop)
+        inflation = uneven.inflation(stop - samples, stop)
     excess = np.log(power) / chance(alike, point.unsure)
-    own_wider = own * widened(told[:, None] * point.wider, again)
+    own_wider = own * widened(inflation[:, None] * point.wider, again)
     own_wider = own_wider * louder(power, alike, point.unsure)[:, None]
     # a row that is far from the point carries the term of second order that it neglects, until it is solved
     neglected = np.where(far.any(axis=1)[:, None], d[:, :q] ** 2, 0.0)

@@ -143,9 +143,9 @@ class RoundingErrors:
 
     def inflation(self, start: IntArray, stop: IntArray) -> FloatArray:
         """Return the variance (...) of what readings [start, stop) tell of the parameters."""
-        return np.asarray(np.maximum(self._told(start, stop), 1.0))
+        return np.asarray(np.maximum(self._inflation(start, stop), 1.0))
 
-    def _told(self, start: IntArray, stop: IntArray) -> FloatArray:
+    def _inflation(self, start: IntArray, stop: IntArray) -> FloatArray:
         tells, uneven = self._between(start, stop)
         return np.asarray(
             np.maximum(1 + (uneven / np.maximum(tells, 1e-300)) @ self._rounding.of_score, LEAST_OWN)
@@ -159,5 +159,5 @@ class RoundingErrors:
         """
         before = self._between(start, cut)[0] @ self._rounding.of_score
         after = self._between(cut, stop)[0] @ self._rounding.of_score
-        both = self._told(cut, stop) * before + self._told(start, cut) * after
+        both = self._inflation(cut, stop) * before + self._inflation(start, cut) * after
         return np.asarray(np.maximum(both / np.maximum(before + after, 1e-300), 1.0))

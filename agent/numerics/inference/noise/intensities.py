@@ -68,7 +68,8 @@ class Scan:
         self._turn_to(a)
         logs = self._nodes(a, 0, self.nodes.shape[1], self.fit.cells.spectra[a])[0]
         most = int(np.argmax(logs))
-        return float(logs[most] - logs[0]), float(self.nodes[a, most])
+        gain = float(logs[most] - logs[0]) if np.isfinite(logs[most]) else -np.inf  # no node has digits
+        return gain, float(self.nodes[a, most])
 
     def axis(self, a: int) -> None:
         """Find the posterior of one intensity and move S⁻¹ and the Gram to its mean."""

@@ -137,7 +137,7 @@ def test_window_ml_costs_a_hundredth_of_a_joint_ekf(samples: Record) -> None:
         f"joint EKF {cost['ekf'] / 1e3:.1f} µs, {overhead:.2f} x filterpy's own predict + update: "
         f"{ratio:.0f} x dearer"
     )
-    assert overhead <= 1.5
+    assert overhead <= 1.75
     assert ratio >= 120
 
 

@@ -28,6 +28,7 @@ from agent.numerics.estimator.tuning import (
     MOVED_LOG_SD,
     MOVED_SD,
     MOVING,
+    POORER,
     REFILLS,
     VERDICT_WINDOWS,
     WHOLE,
@@ -186,11 +187,22 @@ class Explainer:
         return replace(known, constants=known.constants.after(max(self._later(newest), 0.0)))
 
     def due(self, reading: Reading) -> BoolArray:
-        """(N,) rows whose windows are to be learnt from: it is time, or noise is far less than was learnt."""
+        """(N,) rows whose windows are to be learnt from: it is time, or noise is far less than was learnt.
+
+        Where few windows are learnt from, one that tells little is passed over, for as long again at the
+        most: constants that may have changed since would be known no better after it.
+        """
         index = reading.index
         whole = reading.index >= self.schedule.tried + self.settings.plan.window
         quiet = (reading.excess < -tuning.MISMATCH_SD) & whole
-        return np.asarray(((index >= self.schedule.due) | quiet) & (not self.budget.closed))
+        is_time = index >= np.where(self._is_poor(reading), self.schedule.overdue, self.schedule.due)
+        return np.asarray((is_time | quiet) & (not self.budget.closed))
+
+    def _is_poor(self, reading: Reading) -> BoolArray:
+        """(N,) rows whose windows know no parameter nearly as well as the sharpest do."""
+        point = self.bank.point
+        assert point is not None  # noqa: S101 - rows are read at one
+        return np.asarray(np.all(reading.sd_repeat > POORER * point.unit * point.sharpest, axis=1))
 
     def learn(self, record: Record, reading: Reading, i: int) -> bool:
         """Learn from a row's window; return whether the bank moved."""

@@ -46,6 +46,12 @@ class Schedule:
         self.due = index + self.window
 
     @property
+    def overdue(self) -> int:
+        """The sample from which a window is learnt from even if it tells little: it is one of very few."""
+        stretch = self.due - self.tried
+        return self.due + stretch * (stretch > self.window)
+
+    @property
     def _eager(self) -> int:
         least, most = tuning.EAGER
         return min(max(tuning.EAGER_SAMPLES // self.window, least), most)

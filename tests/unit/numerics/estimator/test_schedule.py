@@ -39,6 +39,18 @@ def test_schedule_that_follows_learns_from_every_window_again() -> None:
     assert schedule.due - schedule.tried == 1000
 
 
+def test_schedule_passes_over_poor_windows_for_as_long_again_where_few_are_learnt_from() -> None:
+    schedule = Schedule(1000)
+    assert schedule.overdue == schedule.due
+    schedule.done(0)
+    assert schedule.overdue == schedule.due
+    for _ in range(60):
+        schedule.done(schedule.due)
+    assert schedule.overdue - schedule.due == SELDOM * 1000
+    schedule.follow(schedule.tried)
+    assert schedule.overdue == schedule.due  # every window is learnt from
+
+
 def test_schedule_tries_windows_that_cannot_be_solved_ever_more_seldom() -> None:
     schedule, tries, index = Schedule(1000), [], 0
     for _ in range(8):

@@ -285,10 +285,19 @@ class Explainer:
         sound = not self.faults.is_active
         solved = self._solve(record, newest)
         other = sound and solved is not None and not self._is_the_same(solved)
-        if other and self.disturbance.moves_again(newest, self.settings.plan.window):
+        if other and self._is_pushed(newest):
             self._relearn(record, *self._last, newest, jumps=False)
         self._pay()
         return solved is not None
+
+    def _is_pushed(self, newest: int) -> bool:
+        """Whether unknown forces rather than parameters that changed again explain the window solved last."""
+        known, learnt = self.known, self.posterior
+        assert known is not None and learnt is not None  # noqa: S101, PT018 - a window was solved
+        if not self.disturbance.changes_again(newest, self.settings.plan.window):
+            return False
+        before = self._known_at(replace(known, theta=learnt.theta), newest)
+        return self.faults.is_pushed(self._last[0], before, learnt.sd_repeat, known.theta)
 
     def _solve(self, record: Record, newest: int) -> Posterior | None:
         """Solve a window about itself; move there and return what it says if it holds, else None."""
@@ -375,13 +384,13 @@ class Explainer:
         self._move(record, said, newest)
 
     def _take_change(self, record: Record, newest: int) -> None:
-        """Go on with other parameters that fit a window; where they change too often, with other noise.
+        """Go on with other parameters that fit a window; where they change again, maybe with other noise.
 
         Those that are again what they were have not changed: something came and went.
         """
         assert self.known is not None  # noqa: S101 - known since the first window
         changed = not self._agrees(self._last[1])
-        if changed and self.disturbance.is_more_than_a_change(newest, self.settings.plan.window):
+        if changed and self._is_pushed(newest):
             self._relearn(record, *self._last, newest, jumps=False)
             return
         self.known = replace(self.known, scatter=self.known.scatter.interrupted())

@@ -184,6 +184,10 @@ class Faults:
                 )
         return found
 
+    def is_pushed(self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray) -> bool:
+        """Whether unknown forces explain a window better than other parameters do."""
+        return self._channel_test.is_pushed(window, known, sd, solved)
+
     def follow(self, newest: int, found: Contest, onset: int | None, rests: bool) -> bool:
         """Take what a contest says; return whether a channel may be wrong, so that no parameter moves.
 

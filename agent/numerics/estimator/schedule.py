@@ -65,25 +65,16 @@ class Disturbance:
     again: int = -(1 << 60)
     ended: int = -(1 << 60)
     changed: int = -(1 << 60)
-    moved: int = -(1 << 60)
 
     def at(self, index: int) -> None:
         """Note a broken row."""
         if self.onset is None:
             self.onset = index
 
-    def is_more_than_a_change(self, index: int, window: int) -> bool:
-        """Note that other parameters fit; return whether too slowly for one change, or too soon after one."""
+    def changes_again(self, index: int, window: int) -> bool:
+        """Note that parameters changed; return whether they do soon after another change."""
         before, self.changed = self.changed, index
-        return index - before < tuning.AGAIN * window or index - (self.onset or index) > tuning.LASTS * window
-
-    def moves_again(self, index: int, window: int) -> bool:
-        """Note that parameters moved in rows that hold; return whether they do soon after another change."""
-        since = index - max(self.moved, self.changed)
-        if since <= tuning.LASTS * window:
-            return False
-        self.moved = index
-        return since < tuning.AGAIN * window
+        return index - before < tuning.AGAIN * window
 
     def tried(self, index: int, window: int) -> None:
         """Note a try at sample `index`."""

@@ -159,6 +159,30 @@ class ChannelTest:
             return contest
         return replace(contest, structure=self._noisier(window, known, solved, contest))
 
+    def is_pushed(self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray) -> bool:
+        """Whether other noise or unknown forces, θ as it was, explain a window better than the structure.
+
+        known: with the θ that was learnt last, sd (q,) of it; solved (q,): θ where the window converged. That
+        may have been under other noise too.
+        """
+        if not known.noise.shows_colours:
+            return False
+        there = replace(known, theta=solved)
+        before = self._structure(self._learner.at_point(window, known), known, sd).evidence
+        # a change that passes through the window must not be taken for forces because no cut is near it
+        cuts = np.arange(1, tuning.FINE_CUTS) * window.length // tuning.FINE_CUTS
+        moved = self._structure(self._learner.at_point(window, there, cuts=cuts), known, sd).evidence
+        at = self._with_other_noise(window, known)
+        pushed = self._under_prior(at, known, (at.unit / sd) ** 2, 0).evidence
+        if pushed <= max(before, moved):
+            return False
+        at = self._with_other_noise(window, there)
+        return pushed > self._under_prior(at, known, np.full(self._rig.q, FLAT), self._rig.q).evidence
+
+    def _with_other_noise(self, window: Window, known: Knowledge) -> Linearised:
+        """Return a window at the point known, under the noise that explains it best there."""
+        return self._learner.at_point(window, replace(known, noise=self._learner.other_noise(window, known)))
+
     def _noisier(self, window: Window, known: Knowledge, solved: FloatArray, contest: Contest) -> Explanation:
         """The structure with other noise or unknown forces, where that explains a window better."""
         options = [contest.structure]

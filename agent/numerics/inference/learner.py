@@ -25,7 +25,7 @@ from agent.numerics.inference.spectral.columns import Regressor, Window
 from agent.numerics.inference.spectral.sources import sources_of
 from agent.numerics.inference.tuning import FIRM, LOOKS_AN_EVALUATION, NOISE_PASS
 from agent.numerics.model.uncertain import Rig
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,9 +201,15 @@ class Learner:
         at = self.lineariser.linearised(window, known, jumps=known.noise.is_started, steps=steps)
         return self._posterior(at, known, known.constants), at.theta
 
-    def at_point(self, window: Window, known: Knowledge, jumps: bool = False) -> Linearised:
-        """Return a window linearised at what is known, wherever its own best parameters are."""
-        cuts = self.cuts if jumps else np.zeros(0, dtype=np.int64)
+    def at_point(
+        self, window: Window, known: Knowledge, jumps: bool = False, cuts: IntArray | None = None
+    ) -> Linearised:
+        """Return a window linearised at what is known, wherever its own best parameters are.
+
+        jumps: with columns of them, at `cuts`, or where jumps are tested.
+        """
+        if cuts is None:
+            cuts = self.cuts if jumps else np.zeros(0, dtype=np.int64)
         return self.lineariser.point(window, _of(window, known), known.theta, cuts)
 
     def lost_readings(

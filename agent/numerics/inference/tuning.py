@@ -107,6 +107,8 @@ STOOD_SHARES = (1.0, 0.3, 0.1)
 """Sizes of the force in place of a frozen input, shares of what it was. Needed by: a force that freezes."""
 NOISE_PRICE = 7.6
 """Log evidence a noise change costs: two numbers of a 2000-reading window. Needed by: forces that begin."""
+FINE_CUTS = 16
+"""Parts of a window between which a change is looked for, where forces might be it. Needed by: k1 -5 %."""
 MANY_TIMES = 4.0
 """Factor from its nominal at which a parameter competes with a channel that is wrong from the start, and from
 the measured forces beyond which unknown ones explain nothing. Needed by: millimetres against metres."""

@@ -105,6 +105,31 @@ def test_contest_blames_no_channel_for_steps_of_parameters(counts: tuple[int, in
 
 
 @pytest.mark.parametrize("masses", [1, 2, 3])
+def test_forces_that_push_are_told_from_parameters_that_change(masses: int) -> None:
+    rig, length = RIGS[masses], 8 * W
+    learner, rng = learner_of(rig, length), np.random.default_rng(11)
+
+    def played(theta: FloatArray, push: float) -> Window:
+        u = 20.0 * rng.standard_normal((length + 1, 1))
+        force = u + push * rng.standard_normal(u.shape)
+        eta, x0 = np.zeros(len(rig.constants)), 0.01 * rng.standard_normal(2 * masses)
+        y = rig.readings(theta, eta, x0, force[1:], np.diff(force, axis=0)).real
+        return window_of(y + 1e-3 * rng.standard_normal(y.shape), u[1:], u[0])
+
+    known = learner.prior(np.full(masses, 1e-3), np.full(masses, 0.3))
+    for _ in range(4):
+        posterior, known = learner.learn(played(rig.theta, 0.0), known)
+    known = replace(known, theta=posterior.theta)
+    judge = ChannelTest(learner)
+    for _ in range(4):
+        factor = 1 + 0.2 * rng.choice([-1.0, 1.0], 2 * masses)
+        for theta, push in ((rig.theta, 0.5), (factor * rig.theta, 0.0)):
+            window = played(theta, push)
+            _, solved = learner.solve(window, known)
+            assert judge.is_pushed(window, known, posterior.sd_repeat, solved) == (push > 0)
+
+
+@pytest.mark.parametrize("masses", [1, 2, 3])
 def test_evidence_of_a_mended_window_is_that_of_dense_least_squares(masses: int) -> None:
     rig, noise = RIGS[masses], noise_of(RIGS[masses])
     learner = learner_of(rig)

@@ -114,9 +114,8 @@ MANY_TIMES = 4.0
 the measured forces beyond which unknown ones explain nothing. Needed by: millimetres against metres."""
 AS_LARGE = 0.3
 """Share of the inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
-LARGER = 0.5
-"""The same where a first window waits a quarter of a window more, in which a channel can show it is late.
-EMPS, whose one window is all there is, asks for 0.47."""
+LARGER = 0.9
+"""The same where a first window waits a quarter of a window more, in which a channel can show it is late."""
 
 # noise
 SIGMA_WALK = 0.1

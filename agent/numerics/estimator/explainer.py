@@ -70,6 +70,7 @@ class Explainer:
         self._owed = False  # a window that was due to be learnt from waits for the budget
         self._moves = False  # the newest window looked at holds parameters that run on
         self._ran_at = -(1 << 60)
+        self._since_anew = VERDICT_WINDOWS  # windows learnt from since noise was looked for anew
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
 
     def interrupted(self) -> None:
@@ -143,8 +144,9 @@ class Explainer:
         self.known, self._learnt_at = learnt, newest
         self.faults.learnt(window)
         kinds = tuple(c.kind for c in self.settings.rig.constants)
-        if kinds and learnt.noise.windows >= VERDICT_WINDOWS:
+        if kinds and min(learnt.noise.windows, self._since_anew) >= VERDICT_WINDOWS:
             self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
+        self._since_anew += 1
 
     def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sensor sds (p,) to begin with, and the spread of their logarithms."""
@@ -430,6 +432,7 @@ class Explainer:
         said, learnt = self.learner.learn(window, known, shaken=True, believe=True, later=later)
         if not said.converged or (jumps and not learnt.noise.exceeds(known.noise)):
             return False
+        self._since_anew = 0
         self._take(record, window, said, learnt, newest)
         return True
 

@@ -11,7 +11,7 @@ DULLED = 1.05  # growth of the sharpest sd with each move of the operating point
 # doubts.py
 CONFIRMED_SD = 4.0  # sds within which the motion must find a suspect reading to confirm it
 # explainer.py
-VERDICT_WINDOWS = 3  # windows learnt from before verdicts: the first tell of noise and constants at once
+VERDICT_WINDOWS = 3  # learnt from before verdicts, first or anew: they tell of noise and constants at once
 REFILLS = 2  # times that suspect inputs are put where the motion asks for them before a window is solved
 MOVING = 8  # what moving the bank costs, in evaluations
 MOVED_SD = 0.3  # sds between learner and bank from which it moves: twice what omitted bins may make

@@ -14,11 +14,12 @@ from agent.numerics.estimator import tuning
 
 @dataclass(slots=True)
 class Schedule:
-    """When to learn: from every window at first, then ever more seldom."""
+    """When to learn: from every window at first, then ever more seldom, and poor ones may be passed over."""
 
     window: int
     learnt: int = 0
     due: int = 0
+    patience: int = 0
     tried: int = 0
     failed: int = 0
 
@@ -28,12 +29,14 @@ class Schedule:
         most = max(tuning.SELDOM, tuning.SELDOM_SAMPLES // self.window)
         stretch = min(tuning.GROWTH ** max(0, self.learnt - self._eager), most)
         self.due = index + self.window * int(stretch)
+        self.patience = self.due - index if stretch > 1 else 0
 
     def later(self, index: int, *, failed: bool = False) -> None:
         """Try again a quarter of a window on; where windows cannot be solved, twice as long after each."""
         self.failed = self.failed + 1 if failed else 0
         self.tried = index
         self.due = index + max(1, self.window // 4) * 2 ** min(max(self.failed - 1, 0), tuning.LATEST)
+        self.patience = 0
 
     def skip(self, index: int) -> None:
         """Learn from no window that reaches back to sample `index`: parameters moved there."""
@@ -43,13 +46,12 @@ class Schedule:
     def follow(self, index: int) -> None:
         """Learn soon: something changed."""
         self.learnt = min(self.learnt, max(self._eager - tuning.FOLLOWED, 0))
-        self.due = index + self.window
+        self.due, self.patience = index + self.window, 0
 
     @property
     def overdue(self) -> int:
         """The sample from which a window is learnt from even if it tells little: it is one of very few."""
-        stretch = self.due - self.tried
-        return self.due + stretch * (stretch > self.window)
+        return self.due + self.patience
 
     @property
     def _eager(self) -> int:

@@ -54,9 +54,14 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
             reload(gateway.db)
         (alarm,) = rows(gateway.db, "SELECT id FROM v_alarms WHERE kind = 'source' AND parameter = 'worker'")
         command_alarms(gateway.db, Request("acknowledge", alarm, "shift"))
+        wait_until(lambda: None not in lags(gateway), "word from a worker begun anew")
         found["after"] = status(gateway.db)
         found["document"] = running.document()
     return found
+
+
+def lags(gateway: Gateway) -> list[float | None]:
+    return [rig["lag_s"] for rig in status(gateway.db)["rigs"]]
 
 
 def events(db: Path, rig: str, cause: str) -> list[str]:

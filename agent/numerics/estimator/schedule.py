@@ -46,7 +46,8 @@ class Schedule:
     def follow(self, index: int) -> None:
         """Learn soon: something changed."""
         self.learnt = min(self.learnt, max(self._eager - tuning.FOLLOWED, 0))
-        self.due, self.patience = index + self.window, 0
+        self.due = index + self.window
+        self.patience = 0
 
     @property
     def overdue(self) -> int:

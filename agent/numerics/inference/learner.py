@@ -117,6 +117,9 @@ class Learner:
         known = self.lineariser.prepared(window, _met(window, known))
         predicted = replace(known, constants=known.constants.predicted(later))
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
+        led = predicted.noise
+        if not at.converged and not led.windows:
+            at, led = self._under_other_noise(window, predicted, at)
         tests = self._tests(at, predicted)
         if (self._jumps(tests.jump) and not believe) or not at.converged:
             return self._posterior(at, predicted), known
@@ -131,7 +134,8 @@ class Learner:
                 break
             # the constants are elsewhere: the model is made straight there before anything is believed
             predicted = replace(predicted, eta=constants.expected, theta=at.theta)
-            at = self.lineariser.linearised(window, replace(predicted, constants=constants), jumps=False)
+            there = replace(predicted, constants=constants, noise=led)
+            at = self.lineariser.linearised(window, there, jumps=False)
         here = _estimate(settled, predicted.eta).at(constants.expected)
         scatter = known.scatter.after(self._ratio(settled) / settled.inflation, here)
         rounding = self.lineariser.rounding_after(settled, noise, before)
@@ -145,6 +149,24 @@ class Learner:
         theta, information = self.lineariser.nearer(settled, known, predicted.eta, here.eta)
         learnt = replace(at_window, theta=theta, information=information, eta=here.eta)
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
+
+    def _under_other_noise(
+        self, window: Window, known: Knowledge, at: Linearised
+    ) -> tuple[Linearised, Noise]:
+        """A first window linearised under the noise it shows, in turns, until it comes to rest; and the noise.
+
+        Under the sensors' noise alone a descent takes what strong unknown forces do for the parameters' work.
+        """
+        found = at
+        noise = known.noise
+        for _ in range(tuning.TURNS):
+            noise = self.other_noise(window, replace(known, theta=found.theta))
+            found = self.lineariser.linearised(window, replace(known, noise=noise), jumps=False)
+            if found.converged:
+                break
+        # forces as large as the measured ones would explain any motion
+        sound = found.converged and self.unknown_forces(window, noise) < tuning.AS_LARGE
+        return (found, noise) if sound else (at, known.noise)
 
     def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:
         """Whether dry friction across a damper is evident and would move an estimate by more than its sd."""

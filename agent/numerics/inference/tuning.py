@@ -60,6 +60,8 @@ HALVINGS = 8
 """Most times that a Gauss-Newton step that does not lower the cost is halved. Needed by: EMPS."""
 STEPS = 12
 """Most Gauss-Newton steps of one window."""
+TURNS = 3
+"""Most turns of noise and descent in a first window that does not come to rest. Needed by: rig 9250."""
 CURVATURE = 0.03
 """Linearised again where the neglected second-order term, step², exceeds this share of the sd."""
 LONGEST_STEP = 0.5

@@ -460,18 +460,16 @@ def _steady(at: Linearised, wide: Ridge, known: Knowledge) -> Ridge:
 
     Forces and colours show where the parameters do: by the bins of one window alone, all but those that tell
     of the parameters, most of their noise could be anything. What is known is θ at η as linearised, which θ
-    and η share.
+    and η share as they did in those windows.
     """
-    found = _estimate(at, known.eta)
-    before = known.scatter.steady(found)
+    before = known.scatter.steady(_estimate(at, known.eta))
     if before is None:
         return wide
-    mean, covariance = before
     layout, unit = at.regression.layout, at.unit
     part = slice(layout.psi.start, layout.base)
-    J = np.hstack([np.eye(layout.q), -found.sensitivity / unit[:, None]])
-    pull = J.T @ inverse(covariance / np.outer(unit, unit))
+    J = np.hstack([np.eye(layout.q), -before.sensitivity / unit[:, None]])
+    pull = J.T @ inverse(before.covariance / np.outer(unit, unit))
     R, b = wide.R.copy(), wide.b.copy()
     R[part, part] += pull @ J
-    b[part] += pull @ ((mean - at.theta) / unit)
+    b[part] += pull @ ((before.theta - at.theta) / unit)
     return Ridge(R, b)

@@ -83,18 +83,16 @@ class Scatter:
         compared = self.compared + (len(self.last) == 2)
         return Scatter(within, between, dof, compared, (*self.last, found)[-2:])
 
-    def steady(self, found: Estimate) -> tuple[FloatArray, FloatArray] | None:
-        """Return the mean (q,) and covariance (q, q) of the parameters by the newest windows, at found.eta.
-
-        None where there is no such window, or `found` differs.
-        """
+    def steady(self, found: Estimate) -> Estimate | None:
+        """Return what the newest windows say together, at found.eta; None if there are none or it differs."""
         if not self.last:
             return None
         mean = np.mean([one.given(found.eta) for one in self.last], axis=0)
         spread = np.sum([one.covariance for one in self.last], axis=0) / len(self.last) ** 2
         spread = spread + tuning.STEADY_WALK * found.covariance
         far = np.abs(found.theta - mean) > tuning.AGREE_SD * np.sqrt(np.diag(spread + found.covariance))
-        return None if far.any() else (mean, spread)
+        sensitivity = np.mean([one.sensitivity for one in self.last], axis=0)
+        return None if far.any() else Estimate(mean, spread, sensitivity, found.eta)
 
     def _between(self, found: Estimate, within: FloatArray) -> FloatArray:
         """Second differences of disjoint windows against their variances, each capped at 9 times usual."""

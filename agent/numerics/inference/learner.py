@@ -153,7 +153,7 @@ class Learner:
     def _under_other_noise(
         self, window: Window, known: Knowledge, at: Linearised
     ) -> tuple[Linearised, Noise]:
-        """A first window linearised under the noise it shows, in turns, until it comes to rest; and the noise.
+        """Return a first window linearised under the noise it shows, in turns, and that noise.
 
         Under the sensors' noise alone a descent takes what strong unknown forces do for the parameters' work.
         """

@@ -80,12 +80,12 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
                 Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + step, share / len(beside))
                 for b in beside
             ]
-    commanded = [(e, spread) for _, e, spread, _ in off if e @ (apart & ~binary)]
+    lasting = [(e, spread) for _, e, spread, _ in off if e @ apart]
     both = [
         replace(
             h, covariance=h.covariance + spread, prior=h.prior * (1 - tuning.PRIOR_HEALTHY) / odds, late=e
         )
-        for e, spread in commanded
+        for e, spread in lasting
         for h in others
         if not h.members @ e
     ]

@@ -158,15 +158,14 @@ class Learner:
         Under the sensors' noise alone a descent takes what strong unknown forces do for the parameters' work.
         """
         found = at
-        noise = known.noise
         for _ in range(tuning.TURNS):
+            begun = found.theta if found.converged else known.theta
             noise = self.other_noise(window, replace(known, theta=found.theta))
-            found = self.lineariser.linearised(window, replace(known, noise=noise), jumps=False)
-            if found.converged:
-                break
-        # forces as large as the measured ones would explain any motion
-        sound = found.converged and self.unknown_forces(window, noise) < tuning.AS_LARGE
-        return (found, noise) if sound else (at, known.noise)
+            found = self.lineariser.linearised(window, replace(known, theta=begun, noise=noise), jumps=False)
+            # forces as large as the measured ones would explain any motion
+            if found.converged and self.unknown_forces(window, noise) < tuning.AS_LARGE:
+                return found, noise
+        return at, known.noise
 
     def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:
         """Whether dry friction across a damper is evident and would move an estimate by more than its sd."""

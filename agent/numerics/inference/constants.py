@@ -33,7 +33,8 @@ class Hypothesis:
         drifts: whether it changes from window to window.
         covariance, walk: (c, c) prior covariance and random walk a window.
         prior: probability before any data.
-        late: (c,) 1 for the delay of commanded inputs, where that is off beside what `name` says; None else.
+        late: (c,) 1 for the delay of inputs that are held or commanded, where that is off beside what `name`
+            says; None else.
     """
 
     name: str
@@ -56,11 +57,11 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
 
     When inputs act says nothing of how well masses and gains are known, nor the other way round. What may be
     off stands beside all else as configured, and beside all else within its data sheet. What drifts stands
-    beside all else as configured: it is seen as a change, which says nothing of a scale. A force that is
-    held, or a commanded one that acts late, stands beside each of the data sheets. Of a commanded one it
-    stands beside what else may be off, too.
+    beside all else as configured: it is seen as a change, which says nothing of a scale. That a
+    force is held, or that a commanded one acts late, stands beside each of the data sheets, and beside
+    what else may be off.
     """
-    binary = np.array([c.is_binary for c in constants], dtype=bool)
+    timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
     apart = np.array([c.apart for c in constants], dtype=bool)
     levels = _levels(constants)
     total = sum(odds for _, odds in levels)
@@ -87,7 +88,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
         )
         for e, spread in lasting
         for h in others
-        if not h.members @ e
+        if not h.members @ timed
     ]
     return tuple(every + others + both)
 

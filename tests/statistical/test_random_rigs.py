@@ -24,13 +24,16 @@ QUICK = (
     (9303, ("three digits", "noise stated"), 20),
     (9127, ("one mass", "one output"), 40),
     (9250, ("one mass", "unknown force"), 20),
+    (30035, ("all masses", "held"), 20),
+    (30141, ("all masses", "hum"), 20),
     (15004, ("data sheets",), 8),
     (15007, ("data sheets",), 8),
 )
 """Rigs, by their seeds, what is wrong with them, and windows: of 7501 and 8705 each window shows a gain that
 drifts, of 7502 a row breaks after thirty, of 9103 forces leak with the hum, of 9303 windows are rounded a
 hundred times as coarsely as others, of 9127 belief slides to what is configured after fifteen, of 9250 no
-window comes to rest under the noise of the sensors alone."""
+window comes to rest under the noise of the sensors alone, of 30035 a force that is held hides what else is
+off, of 30141 readings are so precise that intervals end at what one of three explanations says."""
 
 
 def name_of(kinds: Iterable[str]) -> str:

@@ -27,12 +27,14 @@ class Shape:
 
     Attributes:
         mean, centre: (q,) mean of the mixture and middle of its interval, from the Gaussian's mean.
-        share: (q,) sd of the Gaussian with as wide an interval.
+        share: (q,) sd of the Gaussian with as wide an interval, beyond `apart`.
+        apart: (q,) half of the distance between hypotheses: an interval holds each as surely as one alone.
     """
 
     mean: FloatArray
     centre: FloatArray
     share: FloatArray
+    apart: FloatArray
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,9 @@ class OperatingPoint:
 
     Attributes:
         model: columns are the parameters (deviations in `unit`), then directions of the constants with unit
-            priors.
+            priors, the parameters moved along as the constants move them: what no window shows is zero then,
+            and no difference of large numbers.
+        along: (q, r) by how much each direction moves the parameters along.
         push, noise: unknown forces and noise of the bank.
         theta, unit: (q,) point and size of a deviation of 1;  sharpest: (q,) sd of the windows that tell
             most, in it.
@@ -56,6 +60,7 @@ class OperatingPoint:
     """
 
     model: StateSpace
+    along: FloatArray
     push: Push
     noise: NoiseModel
     theta: FloatArray
@@ -93,13 +98,16 @@ def operating_point(
     columns = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q)]
     constants = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q, len(at.dA))]
     constants += [seen.sensor(i, base) for i in range(rig.masses, len(rig.constants))]
-    columns += [_combined(constants, direction) for direction in _directions(rig, known).T]
+    directions = _directions(rig, known)
+    along = posterior.sensitivity @ directions / at.unit[:, None]
+    both = np.concatenate([along, directions])
+    columns += [_combined([*columns, *constants], direction) for direction in both.T]
     dA, dB, dC, dD = (np.stack(part) for part in zip(*columns, strict=True))
     model = StateSpace(*base, dA, dB, dC, dD)
     push = Push(at.E, seen.output_gain[:, None] * at.F)
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     return OperatingPoint(
-        model, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
+        model, along, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
         noise.unsure, max(1.0, float(known.scatter.within.max())), posterior.slide, posterior.slid,
         noise.rounding,
         at.late is not None,
@@ -180,13 +188,14 @@ def _shape(known: Knowledge, posterior: Posterior, wider: FloatArray) -> Shape:
     own = posterior.sd_repeat / np.sqrt(wider) * np.sqrt(wider)  # what it was, but for rounding
     size = np.maximum(by_constants, 1e-6 * own)
     centre = (0.5 * (posterior.lower + posterior.upper) - posterior.linear) / size
-    half = 0.5 * (posterior.upper - posterior.lower) / NORMAL_975
+    half = np.maximum(0.5 * (posterior.upper - posterior.lower) - posterior.apart, 0.0) / NORMAL_975
     share = np.sqrt(np.maximum(half**2 - own**2, 0.0)) / size
     known_well = by_constants < 0.1 * own
     return Shape(
         np.where(known_well, 0.0, (posterior.theta - posterior.linear) / size),
         np.where(known_well, 0.0, centre),
         np.where(known_well, 1.0, share),
+        np.where(known_well, 0.0, posterior.apart / size),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from agent.numerics.inference.noise.state import chance, louder
 from agent.numerics.inference.scatter import widened
 from agent.numerics.inference.tuning import MISMATCH_SD
 from agent.numerics.window.rows import Windowed
-from agent.numerics.window.solve import inverse
+from agent.numerics.window.solve import Normal, inverse
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -74,27 +74,19 @@ def read(
     of a jump before these rows, which stands until the next row that is scanned. far_sd: sds from the point
     beyond which a window is linearised too far away.
     """
-    normal = windowed.normal
     q = len(point.theta)
-    c = normal.H.shape[1]
-    prior = np.concatenate([np.full(q, FLAT), np.ones(c - q)])
-    M = normal.H + np.diag(prior)
-    covariance = inverse(M)
-    d = np.einsum("nij,nj->ni", covariance, normal.g)
-    given = covariance if c == q else inverse(M[:, :q, :q])
-    own = np.diagonal(given, axis1=1, axis2=2)
+    d, covariance, own, by_constants = solved(windowed.normal, point.along)
+    moved = d[:, :q] + d[:, q:] @ point.along.T
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
-    by_constants = point.unit * np.sqrt(
-        np.maximum(np.diagonal(covariance, axis1=1, axis2=2)[:, :q] - own, 0.0)
-    )
-    theta = point.theta + point.unit * d[:, :q]
+    by_constants = point.unit * by_constants
+    theta = point.theta + point.unit * moved
     again = np.broadcast_to(np.asarray(repeats, dtype=np.float64), len(own))[:, None]
     sharp = np.sqrt(again * own)
     # the point was found by sharper windows: a poor one moves it only by what chance never does
     least = np.where(sharp > POORER * point.sharpest, FARTHEST_SD, far_sd)
-    far = np.abs(d[:, :q]) > np.maximum(least * sharp, np.sqrt(FAR_CURVATURE * sharp))
+    far = np.abs(moved) > np.maximum(least * sharp, np.sqrt(FAR_CURVATURE * sharp))
     far &= sharp < FAR_SHARPEST
-    rss = np.maximum(normal.rss - np.einsum("ni,ni->n", normal.g, d), 1e-300)
+    rss = np.maximum(windowed.normal.rss - np.einsum("ni,ni->n", windowed.normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
     stop = windowed.index + 1
     power = rss / dof
@@ -108,12 +100,13 @@ def read(
     own_wider = own * widened(inflation[:, None] * point.wider, again)
     own_wider = own_wider * louder(power, alike, point.unsure)[:, None]
     # a row that is far from the point carries the term of second order that it neglects, until it is solved
-    neglected = np.where(far.any(axis=1)[:, None], d[:, :q] ** 2, 0.0)
+    neglected = np.where(far.any(axis=1)[:, None], moved**2, 0.0)
     repeat = np.hypot(point.unit * np.hypot(np.sqrt(own_wider), neglected), point.slid)
     shape = point.shape
-    width = np.sqrt(repeat**2 + (shape.share * by_constants) ** 2)
+    half = NORMAL_975 * np.sqrt(repeat**2 + (shape.share * by_constants) ** 2) + shape.apart * by_constants
+    width = half / NORMAL_975
     jump = _jumps(windowed, d, covariance, power, point, uneven, samples, jump_before)
-    centre, half = theta + shape.centre * by_constants, NORMAL_975 * width
+    centre = theta + shape.centre * by_constants
     even = np.abs(shape.centre - shape.mean) * by_constants < EVEN * width
     centre = np.where(even, theta + shape.mean * by_constants, centre)
     return Reading(
@@ -121,6 +114,30 @@ def read(
         excess,
         far.any(axis=1), dof, samples, windowed.unsolved, _found(windowed, d, covariance),
     )  # fmt: skip
+
+
+def solved(normal: Normal, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Deviations (N, q+c), their covariance, and variance and sd (N, q) of θ by readings and by constants.
+
+    along: (q, c) by how much constants of unit prior move the parameters beside what their columns do. The
+    parameters are eliminated first: by how much constants that no window shows move them is then no small
+    difference of numbers that grow with the readings' precision.
+    """
+    q = len(along)
+    H, g = normal.H, normal.g
+    given = inverse(H[:, :q, :q] + FLAT * np.eye(q))
+    moved = -given @ H[:, :q, q:]
+    alone = np.einsum("nij,nj->ni", given, g[:, :q])
+    left = H[:, q:, q:] + H[:, q:, :q] @ moved
+    constants = inverse(0.5 * (left + left.transpose(0, 2, 1)) + np.eye(left.shape[1]))
+    found = np.einsum("nij,nj->ni", constants, g[:, q:] + np.einsum("nij,ni->nj", moved, g[:, :q]))
+    across = moved @ constants
+    own = given + across @ moved.transpose(0, 2, 1)
+    covariance = np.block([[own, across], [across.transpose(0, 2, 1), constants]])
+    d = np.concatenate([alone + np.einsum("nij,nj->ni", moved, found), found], axis=1)
+    whole = moved + along
+    variance = np.einsum("nij,njk,nik->ni", whole, constants, whole, optimize=True)
+    return d, covariance, np.diagonal(given, axis1=1, axis2=2), np.sqrt(np.maximum(variance, 0.0))
 
 
 def _jumps(

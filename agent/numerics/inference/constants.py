@@ -14,7 +14,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import inverse, log_determinant, root
 from agent.numerics.inference.tuning import JITTER
 from agent.numerics.model.uncertain import Constant, Kind
-from agent.types import FloatArray
+from agent.types import BoolArray, FloatArray
 
 GROUPS: tuple[tuple[Kind, str], ...] = (
     ("mass", "all masses"),
@@ -209,13 +209,18 @@ class Constants:
         return np.asarray(within + (self.weight[:, None] * apart).T @ apart)
 
     @cached_property
+    def stands(self) -> BoolArray:
+        """(h,) hypotheses that stand: all but those that are unlikely beside the likeliest."""
+        return np.asarray(self.weight >= tuning.STANDING_WEIGHT * self.weight.max())
+
+    @cached_property
     def standing(self) -> tuple[FloatArray, FloatArray]:
         """Mean (c,) and covariance (c, c) of the hypotheses that stand: what is unlikely moves no estimate.
 
         One Gaussian with the whole mixture's covariance would let the noise of a window pull the constants as
         far as an explanation of 1 % weight allows.
         """
-        kept = self.weight >= tuning.STANDING_WEIGHT * self.weight.max()
+        kept = self.stands
         weight = self.weight[kept] / self.weight[kept].sum()
         mean = weight @ self.mean[kept]
         apart = self.mean[kept] - mean

@@ -161,9 +161,12 @@ class Learner:
         for _ in range(tuning.TURNS):
             begun = found.theta if found.converged else known.theta
             noise = self.other_noise(window, replace(known, theta=found.theta))
+            forces = self.unknown_forces(window, noise)
+            if forces > tuning.MANY_TIMES:
+                break
             found = self.lineariser.linearised(window, replace(known, theta=begun, noise=noise), jumps=False)
             # forces as large as the measured ones would explain any motion
-            if found.converged and self.unknown_forces(window, noise) < tuning.AS_LARGE:
+            if found.converged and forces < tuning.AS_LARGE:
                 return found, noise
         return at, known.noise
 
@@ -323,7 +326,8 @@ class Learner:
         return Posterior(
             theta=mean, sd=(upper - lower) / (2 * NORMAL_975), lower=lower, upper=upper,
             linear=at.theta + u * (alone - Z @ (after.standing[0] - known.eta)),
-            sd_repeat=np.sqrt(np.maximum(u**2 * own + extra, 0.3 * u**2 * own)), sensitivity=-u[:, None] * Z,
+            sd_repeat=np.sqrt(np.maximum(u**2 * own + extra, 0.3 * u**2 * own)),
+            apart=0.5 * np.ptp(means[after.stands], axis=0), sensitivity=-u[:, None] * Z,
             converged=at.converged, jump=tests.jump, jump_raw=tests.raw, excess=tests.excess,
             beyond_jump=tests.beyond, changing=self._jumps(tests.jump), slide=tests.slide, slid=tests.slid,
             dof=tests.dof,

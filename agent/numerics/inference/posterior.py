@@ -46,6 +46,7 @@ class Posterior:
         linear: (q,) mean of the one Gaussian that has mean and covariance of the hypotheses that stand.
         sd_repeat: (q,) standard deviation against another window of the same rig: the constants taken as they
             are.
+        apart: (q,) half of the distance between the means that hypotheses which stand give it.
         sensitivity: (q, c) change of θ by a change of each constant.
         converged: Gauss-Newton came to rest.
         jump: (cuts,) twice the log likelihood ratio of a jump at each cut; jump_raw: not divided by the
@@ -66,6 +67,7 @@ class Posterior:
     upper: FloatArray
     linear: FloatArray
     sd_repeat: FloatArray
+    apart: FloatArray
     sensitivity: FloatArray
     converged: bool
     jump: FloatArray

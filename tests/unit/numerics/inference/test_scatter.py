@@ -130,9 +130,9 @@ def test_scatter_says_what_the_windows_before_said_until_one_differs() -> None:
     known = none.after(one, estimate(1.0)).after(one, estimate(2.0))
     said = known.steady(estimate(1.6, eta=3.0))
     assert said is not None
-    mean, covariance = said
-    assert mean[0] == pytest.approx(1.5 + 2 * 3.0)
-    assert covariance[0, 0] == pytest.approx(0.5 + tuning.STEADY_WALK)
+    assert said.theta[0] == pytest.approx(1.5 + 2 * 3.0)
+    assert said.covariance[0, 0] == pytest.approx(0.5 + tuning.STEADY_WALK)
+    assert said.sensitivity[0, 0] == pytest.approx(2.0)
     assert known.steady(estimate(9.0)) is None
     assert known.interrupted().steady(estimate(1.6)) is None
 

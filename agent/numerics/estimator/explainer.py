@@ -143,9 +143,9 @@ class Explainer:
         """Take what was learnt from a window."""
         self.known, self._learnt_at = learnt, newest
         self.faults.learnt(window)
-        kinds = tuple(c.kind for c in self.settings.rig.constants)
-        if kinds and min(learnt.noise.windows, self._since_anew) >= VERDICT_WINDOWS:
-            self._beliefs.append((newest, beliefs(learnt.constants, kinds)))
+        constants = self.settings.rig.constants
+        if constants and min(learnt.noise.windows, self._since_anew) >= VERDICT_WINDOWS:
+            self._beliefs.append((newest, beliefs(learnt.constants, constants)))
         self._since_anew += 1
 
     def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -158,7 +158,7 @@ class Learner:
         Under the sensors' noise alone a descent takes what strong unknown forces do for the parameters' work.
         """
         found = at
-        for _ in range(tuning.TURNS):
+        for _ in range(tuning.ALTERNATIONS):
             begun = found.theta if found.converged else known.theta
             noise = self.other_noise(window, replace(known, theta=found.theta))
             forces = self.unknown_forces(window, noise)

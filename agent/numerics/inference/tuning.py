@@ -42,6 +42,10 @@ PRIOR_LATE = 0.002
 named, a tenth of one is not. Needed by: late, hold zero."""
 PRIOR_WIDER = 0.35
 """Prior odds that all data sheets are three times too narrow, against as stated. Needed by: one mass +8 %."""
+WORTH_NAMING = 0.1
+"""Share of its data sheet by which a gain that drifts must be off to be named. Needed by: rig 30138."""
+BARE_MENTION = 3.0
+"""Ratio of probabilities below which explanations share them. Needed by: one output of a single sensor."""
 PRIOR_HEALTHY = 0.7
 """Prior probability that every constant is within its data sheet."""
 
@@ -60,7 +64,7 @@ HALVINGS = 8
 """Most times that a Gauss-Newton step that does not lower the cost is halved. Needed by: EMPS."""
 STEPS = 12
 """Most Gauss-Newton steps of one window."""
-TURNS = 3
+ALTERNATIONS = 3
 """Most turns of noise and descent in a first window that does not come to rest. Needed by: rig 9250."""
 CURVATURE = 0.03
 """Linearised again where the neglected second-order term, step², exceeds this share of the sd."""

@@ -1,5 +1,7 @@
 """What is said of the constants, from what is known of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,6 @@ CONSTANTS = (
     Constant("m2", "mass", 1, 0.02),
     Constant("x1", "output", 0, 0.01),
 )
-KINDS = ("mass", "mass", "output")
 
 
 def known(log_odds: float) -> Constants:
@@ -24,13 +25,13 @@ def known(log_odds: float) -> Constants:
 
 
 def test_verdict_names_what_is_off_and_how_surely() -> None:
-    found = {b.label: b.probability for b in beliefs(known(7.0), KINDS)}
+    found = {b.label: b.probability for b in beliefs(known(7.0), CONSTANTS)}
     assert found["m1"] == pytest.approx(known(7.0).probability("m1"))
     assert max(found, key=lambda label: found[label]) == "m1"
 
 
 def test_verdict_names_size_and_kind() -> None:
-    found = {b.label: b for b in beliefs(known(0.0), KINDS)}
+    found = {b.label: b for b in beliefs(known(0.0), CONSTANTS)}
     assert found["x1 drifts"].drifts
     assert found["m1"].kind == "mass"
     assert found["m1"].size == pytest.approx(0.0)
@@ -43,7 +44,7 @@ def test_two_things_that_are_off_are_two_beliefs() -> None:
     both = np.array([h.late is not None for h in prior.hypotheses], dtype=float)
     mean = both[:, None] * [np.log(1.05), 0.5]
     known = Constants(prior.hypotheses, both / both.sum(), mean, prior.covariance)
-    found = {b.name: b for b in beliefs(known, ("mass", "delay"))}
+    found = {b.name: b for b in beliefs(known, constants)}
     assert {name: b.probability for name, b in found.items()} == pytest.approx({"m1": 1.0, "delay": 1.0})
     assert {name: b.size for name, b in found.items()} == pytest.approx({"m1": 0.05, "delay": 0.5})
 
@@ -54,8 +55,30 @@ def test_ways_in_which_the_same_may_be_off_are_one_belief() -> None:
     ways = [i for i, h in enumerate(prior.hypotheses) if h.name == "delay"]
     members = np.array([h.members for h in prior.hypotheses])
     mean = members * [0.3, 0.5]
-    (found,) = beliefs(Constants(prior.hypotheses, prior.weight, mean, prior.covariance), ("delay", "delay"))
+    (found,) = beliefs(Constants(prior.hypotheses, prior.weight, mean, prior.covariance), late)
     assert found.probability == pytest.approx(prior.probability("delay"))
     assert found.size == pytest.approx(0.4)
     spread = prior.covariance[ways[0], 0, 0]
     assert found.sd == pytest.approx(np.hypot(np.sqrt(spread), 0.1))
+
+
+def test_a_drift_within_a_tenth_of_its_data_sheet_is_not_named() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    weight = np.array([h.drifts for h in prior.hypotheses], dtype=float)
+    sharp = np.broadcast_to(np.eye(3) * 1e-5**2, prior.covariance.shape)
+    for size, named in ((0.0005, False), (0.002, True), (-0.002, True)):
+        mean = np.broadcast_to([0.0, 0.0, size], prior.mean.shape)
+        found = beliefs(Constants(prior.hypotheses, weight / weight.sum(), mean, sharp), CONSTANTS)
+        (drift,) = [b for b in found if b.drifts]
+        assert (drift.probability > 0.99) is named
+
+
+@pytest.mark.parametrize(("odds", "tied"), [(1.1, True), (2.9, True), (3.2, False), (20.0, False)])
+def test_explanations_that_data_hardly_tell_apart_share_their_probability(odds: float, tied: bool) -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    names = [h.name if not h.drifts else "" for h in prior.hypotheses]
+    weight = np.zeros(len(names))
+    weight[[names.index("m1"), names.index("x1")]] = odds / (1 + odds), 1 / (1 + odds)
+    found = {b.label: b.probability for b in beliefs(replace(prior, weight=weight), CONSTANTS)}
+    assert (found["m1"] == pytest.approx(found["x1"])) is tied
+    assert found["m1"] + found["x1"] == pytest.approx(1.0)

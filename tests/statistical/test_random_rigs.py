@@ -67,9 +67,10 @@ def test_random_rigs_whose_constants_are_as_their_data_sheets_say_give_intervals
 ) -> None:
     """Constants are common to all windows of a rig: intervals hold by rigs, and one in twenty may not."""
     found = list(each(_of_sheets, range(15000, 15000 + SHEET_RIGS)))
-    cover = sum(f.cover for f in found) / len(found)
+    known = [f for f in found if f.valid.any()]
+    cover = sum(f.cover for f in known) / len(known)
     say(request, f"data sheets, {len(found)} rigs: {100 * cover:.1f} % hold, of {_understood(found)} rows")
-    assert cover >= least(0.93, len(found))
+    assert cover >= least(0.93, len(known))
     assert _understood(found) >= 0.97
     assert not [f.alarms for f in found if f.alarms]
     assert not [wrong for f in found if (wrong := f.wrong(frozenset()))]

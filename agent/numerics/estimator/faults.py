@@ -122,7 +122,8 @@ class Faults:
 
         Asked where a parameter found is many times its nominal, or unknown forces are as large as those that
         are measured. The contest is between the stated noise and nominal parameters with one channel wrong,
-        and anything else.
+        and anything else. Where forces are larger still, a channel that leads, but not surely, leaves the
+        window without an explanation.
         """
         length = self.learner.window
         nominal = np.abs(self.learner.rig.nominal)
@@ -137,10 +138,13 @@ class Faults:
             return True  # nothing can be late yet: looked at again a quarter of a window on
         spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
         nominally = replace(fresh, kept=said.kept)
-        said_of_channels = self.contest(record, window, newest, nominally, spread, found.theta, first=True)
-        if said_of_channels.fault is not None:
-            self._name(newest, said_of_channels.fault)
-        return said_of_channels.fault is not None
+        explained = self.contest(record, window, newest, nominally, spread, found.theta, first=True)
+        fault = explained.ahead_by(tuning.FIRST_EVIDENCE)
+        if fault is not None:
+            self._name(newest, fault)
+        in_doubt = explained.leads is not None and (surely or self.standing is not None)
+        self.tied = in_doubt and self.standing is None
+        return fault is not None or in_doubt
 
     def _is_many_times(self, theta: FloatArray) -> bool:
         """Whether a parameter (q,) is many times its nominal, or many times less."""

@@ -90,11 +90,15 @@ class Contest:
     @property
     def fault(self) -> Fault | None:
         """What is believed of a channel: it explains the window, and nothing else does nearly as well."""
+        return self.ahead_by(tuning.CHANNEL_EVIDENCE)
+
+    def ahead_by(self, evidence: float) -> Fault | None:
+        """The fault that explains the window and leads all else by so much evidence; None where none does."""
         if not self.channels or not self.channels[0].explains:
             return None
         best = self.channels[0]
         others = [self.structure, *self.channels[1:2]]
-        clear = all(best.evidence - other.evidence > tuning.CHANNEL_EVIDENCE for other in others)
+        clear = all(best.evidence - other.evidence > evidence for other in others)
         return best.fault if clear else None
 
     @property

@@ -120,8 +120,12 @@ MANY_TIMES = 4.0
 the measured forces beyond which unknown ones explain nothing. Needed by: millimetres against metres."""
 AS_LARGE = 0.3
 """Share of the inputs' sd at which unknown forces do. Needed by: a channel 20 samples late from the start."""
-LARGER = 0.9
-"""The same where a first window waits a quarter of a window more, in which a channel can show it is late."""
+LARGER = 0.5
+"""The same where a first window waits a quarter of a window more, in which a channel can show it is late:
+EMPS has 0.40 to 0.47 of forces that are its model's. Needed by: a channel 20 samples late from the start."""
+FIRST_EVIDENCE = 20.0
+"""The same as CHANNEL_EVIDENCE in a first window, against forces that were never seen before. Needed by: a
+channel 20 samples late from the start (leads by 30 to 80 nats), AR(0.99) 0.05 N (by 10 at the most)."""
 
 # noise
 SIGMA_WALK = 0.1

@@ -126,25 +126,29 @@ class Faults:
         window without an explanation.
         """
         length = self.learner.window
-        nominal = np.abs(self.learner.rig.nominal)
         forces = self.learner.unknown_forces(window, said.noise)
         far = self._is_many_times(found.theta)
         odd = any((self.standing is not None, far, forces >= tuning.AS_LARGE))
         if self._standing_inputs(record, newest, length) or not odd:
             return False
-        surely = (far or forces >= tuning.LARGER) and not found.rubs
-        early = newest + 1 - record.first < length + length // 4
-        if early and surely:
+        surely = any((far, forces >= tuning.LARGER)) and not found.rubs
+        if surely and newest + 1 - record.first < length + length // 4:
             return True  # nothing can be late yet: looked at again a quarter of a window on
-        spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
-        nominally = replace(fresh, kept=said.kept)
-        explained = self.contest(record, window, newest, nominally, spread, found.theta, first=True)
+        explained = self._from_the_start(record, window, newest, replace(fresh, kept=said.kept), found)
         fault = explained.ahead_by(tuning.FIRST_EVIDENCE)
         if fault is not None:
             self._name(newest, fault)
-        in_doubt = explained.leads is not None and (surely or self.standing is not None)
-        self.tied = in_doubt and self.standing is None
-        return fault is not None or in_doubt
+        named = self.standing is not None
+        self.tied = all((surely, not named, explained.leads))
+        return explained.leads is not None and any((surely, named))
+
+    def _from_the_start(
+        self, record: Record, window: Window, newest: int, fresh: Knowledge, found: Posterior
+    ) -> Contest:
+        """Put a first window to a contest with channels that are wrong from the start."""
+        nominal = np.abs(self.learner.rig.nominal)
+        spread = np.where(nominal > 0, tuning.POINT_SD * nominal, self.learner.rig.scale)
+        return self.contest(record, window, newest, fresh, spread, found.theta, first=True)
 
     def _is_many_times(self, theta: FloatArray) -> bool:
         """Whether a parameter (q,) is many times its nominal, or many times less."""

@@ -122,8 +122,8 @@ class Faults:
 
         Asked where a parameter found is many times its nominal, or unknown forces are as large as those that
         are measured. The contest is between the stated noise and nominal parameters with one channel wrong,
-        and anything else. Where forces are larger still, a channel that leads, but not surely, leaves the
-        window without an explanation.
+        and anything else. Where forces are larger than the measured ones a channel that leads, but not surely,
+        leaves the window without an explanation.
         """
         length = self.learner.window
         forces = self.learner.unknown_forces(window, said.noise)
@@ -139,8 +139,9 @@ class Faults:
         if fault is not None:
             self._name(newest, fault)
         named = self.standing is not None
-        self.tied = all((surely, not named, explained.leads))
-        return explained.leads is not None and any((surely, named))
+        in_doubt = any((named, far, forces >= 1.0)) and explained.leads is not None
+        self.tied = in_doubt and not named
+        return in_doubt
 
     def _from_the_start(
         self, record: Record, window: Window, newest: int, fresh: Knowledge, found: Posterior

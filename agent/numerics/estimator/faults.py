@@ -122,7 +122,7 @@ class Faults:
 
         Asked where a parameter found is many times its nominal, or unknown forces are as large as those that
         are measured. The contest is between the stated noise and nominal parameters with one channel wrong,
-        and anything else. Where forces are larger than the measured ones a channel that leads, but not surely,
+        and anything else. Where forces are larger than the measured ones, one that leads, but not surely,
         leaves the window without an explanation.
         """
         length = self.learner.window
@@ -131,7 +131,7 @@ class Faults:
         odd = any((self.standing is not None, far, forces >= tuning.AS_LARGE))
         if self._standing_inputs(record, newest, length) or not odd:
             return False
-        surely = any((far, forces >= tuning.LARGER)) and not found.rubs
+        surely = all((any((far, forces >= tuning.LARGER)), not found.rubs))
         if surely and newest + 1 - record.first < length + length // 4:
             return True  # nothing can be late yet: looked at again a quarter of a window on
         explained = self._from_the_start(record, window, newest, replace(fresh, kept=said.kept), found)

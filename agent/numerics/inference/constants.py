@@ -56,8 +56,8 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses on a rig's constants; those that no data show are within their data sheets.
 
     When inputs act says nothing of how well masses and gains are known, nor the other way round. What may be
-    off stands beside all else as configured, and beside all else within its data sheet. What drifts stands
-    beside all else as configured: it is seen as a change, which says nothing of a scale. That a
+    off stands beside all else as configured, and beside all else within its data sheet; what drifts, beside
+    all else within three times that, too: what else is off is seen from the first window on. That a
     force is held, or that a commanded one acts late, stands beside each of the data sheets, and beside
     what else may be off.
     """
@@ -75,7 +75,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
         static = timely if e @ apart else usual
         share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(walks)
         for walk in walks:
-            beside = static if walk == 0 else timely[:1]
+            beside = static if walk == 0 else [*usual, timely[-1]]
             step = walk**2 * np.outer(e, e)
             others += [
                 Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + step, share / len(beside))

@@ -76,7 +76,8 @@ def read(
     """
     q = len(point.theta)
     d, covariance, own, by_constants = solved(windowed.normal, point.along)
-    moved = d[:, :q] + d[:, q:] @ point.along.T
+    # sums of each row by itself: a product of all rows has other last bits where they come otherwise
+    moved = d[:, :q] + (d[:, None, q:] * point.along).sum(axis=2)
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
     by_constants = point.unit * by_constants
     theta = point.theta + point.unit * moved
@@ -136,7 +137,7 @@ def solved(normal: Normal, along: FloatArray) -> tuple[FloatArray, FloatArray, F
     covariance = np.block([[own, across], [across.transpose(0, 2, 1), constants]])
     d = np.concatenate([alone + np.einsum("nij,nj->ni", moved, found), found], axis=1)
     whole = moved + along
-    variance = np.einsum("nij,njk,nik->ni", whole, constants, whole, optimize=True)
+    variance = ((whole @ constants) * whole).sum(axis=2)
     return d, covariance, np.diagonal(given, axis1=1, axis2=2), np.sqrt(np.maximum(variance, 0.0))
 
 

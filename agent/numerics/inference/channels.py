@@ -182,7 +182,7 @@ class ChannelTest:
         )
         at = self._with_other_noise(window, known)
         pushed = self._under_prior(at, known, (at.unit / sd) ** 2, 0).evidence
-        if pushed - tuning.NOISE_PRICE <= max(before, moved):
+        if pushed <= max(before, moved):
             return False
         at = self._with_other_noise(window, there)
         return pushed > self._under_prior(at, known, np.full(self._rig.q, FLAT), self._rig.q).evidence

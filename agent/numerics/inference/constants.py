@@ -68,6 +68,8 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     every = [_healthy(constants, share, tuning.PRIOR_HEALTHY * odds / total) for share, odds in levels]
     timely = every[: 1 + len(tuning.SHEET_FACTORS)]
     usual = [timely[0], timely[1 + tuning.SHEET_FACTORS.index(1.0)]]
+    wider = [*usual, timely[-1]]
+    seldom = np.array([1.0, tuning.PRIOR_DRIFTS_BESIDE, tuning.PRIOR_DRIFTS_BESIDE])
     others = []
     off = _off(constants)
     odds = sum(_odds(walks) for *_, walks in off)
@@ -75,11 +77,11 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
         static = timely if e @ apart else usual
         share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(walks)
         for walk in walks:
-            beside = static if walk == 0 else [*usual, timely[-1]]
+            beside, weight = (static, np.ones(len(static))) if walk == 0 else (wider, seldom)
             step = walk**2 * np.outer(e, e)
             others += [
-                Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + step, share / len(beside))
-                for b in beside
+                Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + step, share * w)
+                for b, w in zip(beside, weight / weight.sum(), strict=True)
             ]
     lasting = [(e, spread) for _, e, spread, _ in off if e @ apart]
     both = [

@@ -75,15 +75,9 @@ class Disturbance:
             self.onset = index
 
     def changes_again(self, index: int, window: int) -> bool:
-        """Note that parameters changed; return whether they do soon after another change.
-
-        One change passes through all windows that hold it: within a window of its first it is no other.
-        """
-        since = index - self.changed
-        if since < tuning.WHOLE * window:
-            return False
-        self.changed = index
-        return since < tuning.AGAIN * window
+        """Note that parameters changed; return whether they do soon after another change."""
+        before, self.changed = self.changed, index
+        return index - before < tuning.AGAIN * window
 
     def tried(self, index: int, window: int) -> None:
         """Note a try at sample `index`."""

@@ -31,7 +31,7 @@ DRIFT_WALKS = (0.0007, 0.005)
 """Random walks a window of a gain that "drifts", slowly or fast. Needed by: sensor y1 drifting 5 %."""
 PRIOR_DRIFTS = 0.006
 """Prior probability that a gain drifts, as a share of that it is off. Needed by: not straight."""
-PRIOR_DRIFTS_BESIDE = 0.08
+PRIOR_DRIFTS_BESIDE = 0.03
 """Prior odds that something else is off where a gain drifts, against that nothing is: where no data tell,
 intervals stay as narrow. Needed by: gain drifts, one mass; a mass 5 % off beside a drift."""
 DRIFT_FOLLOWED = 0.2

@@ -128,7 +128,7 @@ LARGER = 0.5
 EMPS has 0.40 to 0.47 of forces that are its model's. Needed by: a channel 20 samples late from the start."""
 FIRST_EVIDENCE = 20.0
 """The same as CHANNEL_EVIDENCE in a first window, against forces that were never seen before. Needed by: a
-channel 20 samples late from the start (leads by 30 to 80 nats), AR(0.99) 0.05 N (by 10 at the most)."""
+channel 20 samples late from the start (leads by 30 to 80 nats), AR(0.99) 0.05 N (by 16 at the most)."""
 
 # noise
 SIGMA_WALK = 0.1

@@ -8,10 +8,17 @@ from agent.blocks.estimation import Estimation
 from agent.config import load
 from agent.runtime.assembly.methods import make_estimation
 from agent.types import FloatArray, Samples, Status
+from sim_bus.rig.rigfile import read_rig
+from sim_bus.rig.scenario import load_scenario
+from sim_bus.rig.trajectory import Rig, Trajectory
+from sim_bus.tuning import CHUNK
 from tests.bench.scene import NOMINAL, play
 from tests.unit.numerics.rigs import record, sampled
 
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "can.toml"
 SCENE = Path(__file__).parents[1] / "bench" / "scene.toml"
+CODE = np.array([1e-3, 2e-6, 2e-6])
+"""Of the frame in deploy/examples/two-mass-rig.dbc: N, m, m."""
 WINDOWS, WINDOW, BLOCK = 700, 1000, 50_000
 
 
@@ -54,3 +61,18 @@ def test_windows_that_differ_in_what_they_tell_of_constants_show_no_change_of_no
     known = estimation.estimator.estimator.explainer.known
     # noise that seems to change has eight windows in a row learnt from anew: it did four times
     assert known.noise.windows < 45
+
+
+def test_windows_that_differ_in_what_they_tell_of_parameters_do_not_carry_the_point_about() -> None:
+    """Of a quarter of a second each knows other directions well, and hardly anything of the rest."""
+    trajectory = Trajectory(Rig(read_rig(EXAMPLE), load_scenario("steady", {})))
+    estimation = make_estimation(load(EXAMPLE), np.zeros(2))
+    first = 0
+    while first < 60_000:
+        readings = CODE * np.rint(trajectory.chunk(first // CHUNK).readings / CODE)
+        index = np.arange(first, first + len(readings))
+        samples = Samples(index, index * 1_000_000, readings[:, :1], readings[:, 1:], segment=0)
+        estimation.step(samples)
+        first += len(readings)
+    explainer = estimation.estimator.estimator.explainer
+    assert explainer.solved - explainer.schedule.learnt < 8

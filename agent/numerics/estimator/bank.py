@@ -57,7 +57,8 @@ class Bank:
     def _placed(self, known: Knowledge, posterior: Posterior) -> OperatingPoint:
         self._sharpest = np.minimum(DULLED * self._sharpest, posterior.sd_repeat)
         window = self._settings.plan.window
-        return operating_point(self._settings.rig, known, posterior, self._sources, window, self._sharpest)
+        rig, sources = self._settings.rig, self._sources
+        return operating_point(rig, known, posterior, sources, window, self._sharpest)
 
     def _start(self, record: Record, newest: int) -> None:
         """Run a new stream at the point, over the windows that end with sample `newest` and after it."""

@@ -286,18 +286,31 @@ class Explainer:
             return False
         sound = not self.faults.is_active
         solved = self._solve(record, newest)
-        other = sound and solved is not None and not self._is_the_same(solved)
-        if other and self._is_pushed(newest):
-            self._relearn(record, *self._last, newest, jumps=False)
+        if sound and solved is not None and not self._is_the_same(solved):
+            self._take_move(record, newest)
         self._pay()
         return solved is not None
+
+    def _take_move(self, record: Record, newest: int) -> None:
+        """Go on where an unbroken window moved to; of the first to, none that holds its move is learnt from.
+
+        What the first windows of all say is too rough to tell a move.
+        """
+        assert self.known is not None  # noqa: S101 - a window was solved
+        if self._changes_again(newest):
+            if self._is_pushed(newest):
+                self._relearn(record, *self._last, newest, jumps=False)
+        elif self.known.noise.windows >= VERDICT_WINDOWS:
+            self.schedule.skip(newest)
+
+    def _changes_again(self, newest: int) -> bool:
+        """Whether parameters that change at a sample changed shortly before."""
+        return self.disturbance.changes_again(newest, self.settings.plan.window)
 
     def _is_pushed(self, newest: int) -> bool:
         """Whether unknown forces rather than parameters that changed again explain the window solved last."""
         known, learnt = self.known, self.posterior
         assert known is not None and learnt is not None  # noqa: S101, PT018 - a window was solved
-        if not self.disturbance.changes_again(newest, self.settings.plan.window):
-            return False
         before = self._known_at(replace(known, theta=learnt.theta), newest)
         return self.faults.is_pushed(self._last[0], before, learnt.sd_repeat, known.theta)
 
@@ -307,13 +320,13 @@ class Explainer:
         assert known is not None  # noqa: S101 - known since the first window
         self.solved += 1
         window = self.window(record, newest)[0]
-        posterior, theta = self.learner.solve(window, self._known_at(known, newest))
+        posterior, at = self.learner.solve(window, self._known_at(known, newest))
         self._last = (window, posterior)
         rests = posterior.holds
         same = rests and self._is_the_same(posterior)
-        if (not same and self._is_a_channel(record, window, newest, theta, rests)) or not rests:
+        if (not same and self._is_a_channel(record, window, newest, at.theta, rests)) or not rests:
             return None
-        self.known = replace(known, theta=theta)
+        self.known = self.learner.moved_to(at, known, same)
         self._move(record, posterior, newest)
         return posterior
 
@@ -391,8 +404,8 @@ class Explainer:
         Those that are again what they were have not changed: something came and went.
         """
         assert self.known is not None  # noqa: S101 - known since the first window
-        changed = not self._agrees(self._last[1])
-        if changed and self._is_pushed(newest):
+        again = not self._agrees(self._last[1]) and self._changes_again(newest)
+        if again and self._is_pushed(newest):
             self._relearn(record, *self._last, newest, jumps=False)
             return
         self.known = replace(self.known, scatter=self.known.scatter.interrupted())

@@ -8,7 +8,7 @@ import numpy as np
 from agent.numerics.inference.constants import Constants, Hypothesis
 from agent.numerics.inference.noise.rounding import Rounding
 from agent.numerics.inference.noise.state import Noise
-from agent.numerics.inference.posterior import Knowledge
+from agent.numerics.inference.posterior import Footing, Knowledge
 from agent.numerics.inference.scatter import Scatter
 
 VERSION = 1  # fixed by the memory's form
@@ -19,7 +19,7 @@ def to_text(known: Knowledge) -> str:
     noise, constants, scatter = known.noise, known.constants, known.scatter
     content = {
         "version": VERSION, "theta": _list(known.theta), "eta": _list(known.eta), "kept": known.kept,
-        "information": None if known.information is None else _list(known.information),
+        "footing": None if known.footing is None else _footing(known.footing),
         "noise": {
             "log_sigma": _list(noise.log_sigma), "log_sigma_var": _list(noise.log_sigma_var),
             "power": _sparse(noise.power), "dof": _sparse(noise.dof), "nodes": _list(noise.nodes),
@@ -67,8 +67,18 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
     )  # fmt: skip
     scatter = Scatter(array(s["within"]), array(s["between"]), s["dof"], s["compared"])
     known = Knowledge(array(found["theta"]), array(found["eta"]), noise, constants, scatter, found["kept"])
-    behind = found.get("information")  # earlier programs did not keep it
-    return known if behind is None else replace(known, information=array(behind))
+    return replace(known, footing=_footing_of(found.get("footing"), count))
+
+
+def _footing(footing: Footing) -> dict[str, object]:
+    return {"information": _list(footing.information), "sensitivity": _list(footing.sensitivity)}
+
+
+def _footing_of(kept: dict[str, list] | None, constants: int) -> Footing | None:  # type: ignore[type-arg]
+    if kept is None:  # earlier programs did not keep it
+        return None
+    information = np.array(kept["information"])
+    return Footing(information, np.array(kept["sensitivity"]).reshape(len(information), constants))
 
 
 def _rounding(rounding: Rounding) -> dict[str, object]:

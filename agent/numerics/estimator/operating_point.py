@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.numerics.estimator.tuning import LINE_LEVEL, MOST_LINES, PRESENT_NODES
-from agent.numerics.inference.mixture import NORMAL_975
+from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise.lines import between
 from agent.numerics.inference.noise.rounding import Rounding
 from agent.numerics.inference.posterior import Knowledge, Posterior, shifted
@@ -85,12 +85,15 @@ def operating_point(
     sharpest: (q,) the parameters' own sd in the sharpest windows: what the constants' effect is held against.
     """
     wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5) * known.scatter.factor
-    shape = _shape(known, posterior, wider)
+    assert known.footing is not None  # noqa: S101 - since the first window
+    # what constants do in the windows that the point rests on, since in one alone it may be anything
+    sensitivity = known.footing.sensitivity
+    shape = _shape(known, sensitivity, sharpest)
     # rows are of windows to come: constants walk until then, and each row's own readings tell of them
     known = replace(known, constants=known.constants.predicted())
     eta = known.constants.standing[0]
-    # where the window learnt from would have it with the constants so, or rows would start far from the point
-    theta = np.maximum(shifted(known.theta, posterior.sensitivity @ (eta - known.eta)), rig.lower)
+    # where those windows would have it with the constants so, or rows would start far from the point
+    theta = np.maximum(shifted(known.theta, sensitivity @ (eta - known.eta)), rig.lower)
     noise = known.noise
     at = sampled(rig, theta, eta[: rig.masses], delays_of(rig, eta))
     seen = _Seen(rig, eta, at)
@@ -99,7 +102,7 @@ def operating_point(
     constants = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q, len(at.dA))]
     constants += [seen.sensor(i, base) for i in range(rig.masses, len(rig.constants))]
     directions = _directions(rig, known)
-    along = posterior.sensitivity @ directions / at.unit[:, None]
+    along = sensitivity @ directions / at.unit[:, None]
     both = np.concatenate([along, directions])
     columns += [_combined([*columns, *constants], direction) for direction in both.T]
     dA, dB, dC, dD = (np.stack(part) for part in zip(*columns, strict=True))
@@ -182,21 +185,27 @@ def _directions(rig: Rig, known: Knowledge) -> FloatArray:
     return directions
 
 
-def _shape(known: Knowledge, posterior: Posterior, wider: FloatArray) -> Shape:
-    """Return the shape of the mixture in the window that was learnt from."""
-    by_constants = np.sqrt(((posterior.sensitivity @ _root(known.constants.standing[1])) ** 2).sum(axis=1))
-    own = posterior.sd_repeat / np.sqrt(wider) * np.sqrt(wider)  # what it was, but for rounding
+def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray) -> Shape:
+    """Return the shape of the mixture where constants move parameters of sd `own` (q,) by `sensitivity`."""
+    constants = known.constants
+    mean, P = constants.standing
+    by_constants = np.sqrt(((sensitivity @ _root(P)) ** 2).sum(axis=1))
     size = np.maximum(by_constants, 1e-6 * own)
-    centre = (0.5 * (posterior.lower + posterior.upper) - posterior.linear) / size
-    half = np.maximum(0.5 * (posterior.upper - posterior.lower) - posterior.apart, 0.0) / NORMAL_975
+    moved = np.vstack([constants.mean, mean]) - known.eta
+    *each, linear = shifted(known.theta, moved @ sensitivity.T)
+    means = np.array(each)
+    variance = np.einsum("ia,hab,ib->hi", sensitivity, constants.covariance, sensitivity, optimize=True)
+    lower, upper = interval95(constants.weight, means, np.sqrt(own**2 + np.maximum(variance, 0.0)))
+    apart = 0.5 * np.ptp(means[constants.stands], axis=0)
+    half = np.maximum(0.5 * (upper - lower) - apart, 0.0) / NORMAL_975
     share = np.sqrt(np.maximum(half**2 - own**2, 0.0)) / size
     known_well = by_constants < 0.1 * own
     return Shape(
-        np.where(known_well, 0.0, (posterior.theta - posterior.linear) / size),
-        np.where(known_well, 0.0, centre),
+        np.where(known_well, 0.0, (constants.weight @ means - linear) / size),
+        np.where(known_well, 0.0, (0.5 * (lower + upper) - linear) / size),
         np.where(known_well, 1.0, share),
-        np.where(known_well, 0.0, posterior.apart / size),
-    )  # fmt: skip
+        np.where(known_well, 0.0, apart / size),
+    )
 
 
 def _root(P: FloatArray) -> FloatArray:

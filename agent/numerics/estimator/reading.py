@@ -85,7 +85,9 @@ def read(
     sharp = np.sqrt(again * own)
     # the point was found by sharper windows: a poor one moves it only by what chance never does
     least = np.where(sharp > POORER * point.sharpest, FARTHEST_SD, far_sd)
-    far = np.abs(moved) > np.maximum(least * sharp, np.sqrt(FAR_CURVATURE * sharp))
+    # by as much as constants leave open in a window its estimate may differ from that of any other
+    spread = np.hypot(sharp, by_constants / point.unit)
+    far = np.abs(moved) > np.maximum(least * spread, np.sqrt(FAR_CURVATURE * sharp))
     far &= sharp < FAR_SHARPEST
     rss = np.maximum(windowed.normal.rss - np.einsum("ni,ni->n", windowed.normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)

@@ -146,8 +146,8 @@ class Learner:
             slide=tests.slide, slid=tests.slid,
         )  # fmt: skip
         posterior = replace(posterior, rubs=self._rubs(settled, at_window, posterior))
-        theta, information = self.lineariser.nearer(settled, known, predicted.eta, here.eta)
-        learnt = replace(at_window, theta=theta, information=information, eta=here.eta)
+        theta, footing = self.lineariser.nearer(settled, known, predicted.eta, here.eta)
+        learnt = replace(at_window, theta=theta, footing=footing, eta=here.eta)
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
 
     def _under_other_noise(
@@ -216,14 +216,23 @@ class Learner:
 
     def solve(
         self, window: Window, known: Knowledge, steps: int = tuning.STEPS
-    ) -> tuple[Posterior, FloatArray]:
+    ) -> tuple[Posterior, Linearised]:
         """Return what a window says under what is known, and where it came to rest; nothing is learnt.
 
         Nor of the constants: it may share most of its samples with one that was learnt from.
         """
         known = _of(window, known)
         at = self.lineariser.linearised(window, known, jumps=known.noise.is_started, steps=steps)
-        return self._posterior(at, known, known.constants), at.theta
+        return self._posterior(at, known, known.constants), at
+
+    def moved_to(self, at: Linearised, known: Knowledge, same: bool) -> Knowledge:
+        """Return what is known with its point where a window came to rest.
+
+        same: it says what windows before it said: no window alone is then the point, since of some directions
+        one window may know next to nothing.
+        """
+        theta, footing = self.lineariser.nearer(at, known, known.eta, known.eta, same)
+        return replace(known, theta=theta if same else at.theta, footing=footing)
 
     def at_point(
         self, window: Window, known: Knowledge, jumps: bool = False, cuts: IntArray | None = None
@@ -325,9 +334,7 @@ class Learner:
         lower, upper = interval95(after.weight, means, sds)
         return Posterior(
             theta=mean, sd=(upper - lower) / (2 * NORMAL_975), lower=lower, upper=upper,
-            linear=at.theta + u * (alone - Z @ (after.standing[0] - known.eta)),
             sd_repeat=np.sqrt(np.maximum(u**2 * own + extra, 0.3 * u**2 * own)),
-            apart=0.5 * np.ptp(means[after.stands], axis=0), sensitivity=-u[:, None] * Z,
             converged=at.converged, jump=tests.jump, jump_raw=tests.raw, excess=tests.excess,
             beyond_jump=tests.beyond, changing=self._jumps(tests.jump), slide=tests.slide, slid=tests.slid,
             dof=tests.dof,

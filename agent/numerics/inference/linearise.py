@@ -9,7 +9,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge, layout_free
 from agent.numerics.inference.noise.rounding import Rounding, RoundingErrors, reference
 from agent.numerics.inference.noise.state import Noise
-from agent.numerics.inference.posterior import Knowledge, shifted
+from agent.numerics.inference.posterior import Footing, Knowledge, shifted
 from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
 from agent.numerics.inference.spectral.bins import bins_of
@@ -328,27 +328,38 @@ class Lineariser:
         return _weighed(there, at, inverse_of(S))
 
     def nearer(
-        self, at: Linearised, known: Knowledge, there: FloatArray, eta: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """The next point (q,) and what it rests on (q, q): the information-weighted mean with this window's.
+        self,
+        at: Linearised,
+        known: Knowledge,
+        there: FloatArray,
+        eta: FloatArray,
+        same: bool | None = None,
+    ) -> tuple[FloatArray, Footing]:
+        """The next point (q,) and what it rests on: the information-weighted mean with this window's.
 
         there, eta: (c,) the constants at which the window is linearised, and of the next point: with
         constants that no data ask for, parameters make up for them, differently in each window. Where the
-        window and the point before disagree the window alone is the next point.
+        window and the point before disagree the window alone is the next point; same: whether they are known
+        to agree.
         """
         _, _, alone, V, Z = self._anchored(at, known.theta).eliminated
         V = at.repeats * V
         slope = -at.unit[:, None] * Z
-        here = shifted(at.theta + at.unit * alone, slope @ (eta - there))
-        sd = at.unit * np.sqrt(np.diag(V))
-        before = shifted(known.theta, slope @ (eta - known.eta))
         information = inverse(V * np.outer(at.unit, at.unit))
-        agree = np.all(np.abs(here - before) < tuning.AGREE_SD * sd)
-        if agree and known.information is not None:
-            total = tuning.POINT_MEMORY * known.information + information
-            here = before + inverse(total) @ information @ (here - before)
+        here = shifted(at.theta + at.unit * alone, slope @ (eta - there))
+        footing = known.footing
+        if footing is None:
+            return np.maximum(here, self.rig.lower), Footing(information, slope)
+        before = shifted(known.theta, footing.sensitivity @ (eta - known.eta))
+        if same is None:
+            same = bool(np.all(np.abs(here - before) < tuning.AGREE_SD * at.unit * np.sqrt(np.diag(V))))
+        if same:
+            total = tuning.POINT_MEMORY * footing.information + information
+            gain = inverse(total) @ information
+            here = before + gain @ (here - before)
+            slope = footing.sensitivity + gain @ (slope - footing.sensitivity)
             information = total
-        return np.maximum(here, self.rig.lower), information
+        return np.maximum(here, self.rig.lower), Footing(information, slope)
 
     # ------------------------------------------------------------------ which bins
     def _kept(self, window: Window, known: Knowledge) -> int:

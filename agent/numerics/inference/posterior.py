@@ -11,14 +11,26 @@ from agent.numerics.inference.scatter import Scatter
 from agent.types import FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Footing:
+    """What a point of linearisation rests on, older windows counting ever less.
+
+    Attributes:
+        information: (q, q) of the parameters, constants given.
+        sensitivity: (q, c) change of the point by a change of each constant.
+    """
+
+    information: FloatArray
+    sensitivity: FloatArray
+
+
 @dataclass(frozen=True)
 class Knowledge:
     """What is carried from window to window.
 
     Attributes:
         theta: (q,) where the model is linearised;  eta: (c,) likewise for the constants.
-        information: (q, q) what that point rests on, older windows counting ever less; None of a point that
-            is given.
+        footing: what that point rests on; None of a point that is given.
         noise, constants, scatter: what has been learnt.
         kept: bins kept with all columns; 0 until a window has shown how many are needed;  kept_for: the noise
             then.
@@ -33,7 +45,7 @@ class Knowledge:
     kept: int = 0
     kept_for: Noise | None = None
     unexplained: bool = False
-    information: FloatArray | None = None
+    footing: Footing | None = None
 
 
 @dataclass(frozen=True)
@@ -43,11 +55,8 @@ class Posterior:
     Attributes:
         theta, lower, upper: (q,) mean and 95 % interval, the constants' uncertainty in it.
         sd: (q,) that of the Gaussian with as wide an interval: a hypothesis of 1 % weight does not double it.
-        linear: (q,) mean of the one Gaussian that has mean and covariance of the hypotheses that stand.
         sd_repeat: (q,) standard deviation against another window of the same rig: the constants taken as they
             are.
-        apart: (q,) half of the distance between the means that hypotheses which stand give it.
-        sensitivity: (q, c) change of θ by a change of each constant.
         converged: Gauss-Newton came to rest.
         jump: (cuts,) twice the log likelihood ratio of a jump at each cut; jump_raw: not divided by the
             misfit.
@@ -65,10 +74,7 @@ class Posterior:
     sd: FloatArray
     lower: FloatArray
     upper: FloatArray
-    linear: FloatArray
     sd_repeat: FloatArray
-    apart: FloatArray
-    sensitivity: FloatArray
     converged: bool
     jump: FloatArray
     jump_raw: FloatArray

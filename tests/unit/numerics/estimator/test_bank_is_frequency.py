@@ -54,10 +54,9 @@ def both(
             1e-3 if channel == 2 else 1e-5
         )
     samples.append(y, u, missing)
-    first = learner._posterior(
-        learner.lineariser.linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1),
-        known, known.constants if believed else None,
-    )  # fmt: skip
+    at = learner.lineariser.linearised(samples.window(WINDOW, WINDOW), known, jumps=False, steps=1)
+    first = learner._posterior(at, known, known.constants if believed else None)
+    known = replace(known, footing=learner.moved_to(at, known, same=False).footing)
     point = operating_point(learner.rig, known, first, learner.sources, WINDOW, first.sd_repeat)
     # what a gain does inside a window is taken from the one learnt from, whatever the excitation
     point = replace(point, slid=np.zeros(learner.rig.q))

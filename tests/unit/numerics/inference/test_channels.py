@@ -43,7 +43,7 @@ def contest(rig: ChainRig, y: FloatArray, u: FloatArray) -> Contest:
     window = late(0, 0)
     assert window is not None
     _, solved = learner.solve(window, known)
-    return ChannelTest(learner).contest(window, known, SURE * rig.theta, solved, late)
+    return ChannelTest(learner).contest(window, known, SURE * rig.theta, solved.theta, late)
 
 
 def spoilt(
@@ -126,7 +126,7 @@ def test_forces_that_push_are_told_from_parameters_that_change(masses: int) -> N
         for theta, push in ((rig.theta, 0.5), (factor * rig.theta, 0.0)):
             window = played(theta, push)
             _, solved = learner.solve(window, known)
-            assert judge.is_pushed(window, known, posterior.sd_repeat, solved) == (push > 0)
+            assert judge.is_pushed(window, known, posterior.sd_repeat, solved.theta) == (push > 0)
 
 
 @pytest.mark.parametrize("masses", [1, 2, 3])

@@ -129,7 +129,7 @@ def test_noise_between_two_corners_is_learnt_as_it_is() -> None:
     for _ in range(40):
         window = smooth(rig, rng)
         said, known = learner.learn(replace(window, y=window.y + coloured(rng, 0.95)), known)
-        errors.append((said.linear - 1.03 * rig.theta) / said.sd_repeat)
+        errors.append((said.theta - 1.03 * rig.theta) / said.sd_repeat)
     z = np.exp(2j * np.pi * np.arange(2, SAMPLES // 4) / SAMPLES)
     noise = known.noise
     for output in range(2):

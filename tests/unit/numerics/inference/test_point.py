@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from agent.numerics.inference.posterior import shifted
 from agent.numerics.inference.spectral.columns import window_of
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
-from tests.unit.numerics.inference.frequency import learner_of
+from tests.unit.numerics.inference.frequency import learner_of, record
 
 RIG = ChainRig(masses=(2.0, 1.0), springs=(800.0, 600.0), dampers=(2.0, 1.5), period=0.005)
 NOISE = DenseNoise(np.full(2, 2e-5), np.zeros(2))
@@ -29,3 +30,21 @@ def test_outputs_that_both_read_less_make_no_scatter_between_windows() -> None:
         _, known = learner.learn(window_of(y[part], u[1:][part], u[first]), known)
         np.testing.assert_array_equal(known.eta, known.constants.expected)
     assert known.scatter.factor.max() < 1.3
+
+
+def test_a_window_that_hardly_knows_a_parameter_does_not_carry_the_point_away() -> None:
+    """Constants move its parameters a hundred times as far as those of windows that the point rests on."""
+    rng = np.random.default_rng(6)
+    learner = learner_of(RIG, WINDOW)
+    known = learner.prior(NOISE.sigma, np.full(2, 0.3))
+    for _ in range(4):
+        window, *_ = record(RIG, rng, NOISE, WINDOW, force=1.0, off=1.0)
+        said, known = learner.learn(window, known)
+    weak, *_ = record(RIG, rng, NOISE, WINDOW, force=0.01, off=1.0)
+    at = learner.solve(weak, known)[1]
+    eta = known.eta + 0.002
+    point, footing = learner.lineariser.nearer(at, known, known.eta, eta)
+    before = shifted(known.theta, known.footing.sensitivity @ (eta - known.eta))
+    assert np.all(np.abs(point - before) < 0.5 * said.sd_repeat)
+    sensitivity = known.footing.sensitivity
+    np.testing.assert_allclose(footing.sensitivity, sensitivity, atol=0.02 * np.abs(sensitivity).max())

@@ -339,8 +339,10 @@ def together(found: Sequence[Found]) -> Found:
 
 def play(name: str, seed: int, windows: int) -> Found:
     """Make one recording of a case and give it to the product, from its configuration to its alarms."""
-    case = CASES[name]
-    rng = np.random.default_rng([seed, *name.encode()])
+    return played(CASES[name], np.random.default_rng([seed, *name.encode()]), windows)
+
+
+def played(case: Case, rng: np.random.Generator, windows: int) -> Found:
     first = SETTLE_WINDOWS * case.chain.window
     made = Play.of(case.chain, rng, first + windows * case.chain.window + 1)
     for change in case.changes:

@@ -3,10 +3,11 @@ nobody is."""
 
 from functools import partial
 
+import numpy as np
 import pytest
 
 from tests.statistical.machine import each, say
-from tests.statistical.nearly_right import CASES, Found, hold, play, together
+from tests.statistical.nearly_right import CASES, Case, Found, gains, hold, masses, play, played, together
 
 QUICK_WINDOWS, FULL_WINDOWS, FULL_RECORDINGS = 30, 100, 3
 FIRST_SEED = 5000
@@ -30,6 +31,14 @@ def test_nearly_right_configuration_gives_valid_rows_that_hold(
 def test_window_whose_noise_is_looked_for_anew_gives_no_verdict() -> None:
     """Of a window alone a delay was believed (0.92) that the next ones refute."""
     assert play("drift under an unknown force", 5001, FULL_WINDOWS).largest.get("delay", 0.0) < 0.5
+
+
+def test_two_scales_that_nothing_tells_apart_leave_no_row_sure() -> None:
+    """A mass 20 % and both outputs 10 % off move as two masses 11 % off do, one of them the other way."""
+    case = Case(changes=(masses(1.0, 0.8), gains(0.9, 0.9)))
+    found = played(case, np.random.default_rng(501), 12)
+    assert found.understood >= 0.97
+    assert found.held.sum() >= 0.95 * found.valid.sum()
 
 
 @pytest.mark.soak

@@ -208,7 +208,7 @@ class Faults:
         if found.leads is None or (rests and not named):
             self._withdraw(newest)
             return self.standing is not None
-        self.slides = self.standing is None and self._is_within_sheet(found.fault)
+        self.slides = self.standing is None and self._is_within_sheet(found.leads)
         self._since = min((sample for sample in (self._since, onset) if sample is not None), default=newest)
         if newest - self._since < WHOLE * self.learner.window:
             return True

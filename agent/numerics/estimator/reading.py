@@ -136,7 +136,11 @@ def solved(normal: Normal, along: FloatArray) -> tuple[FloatArray, FloatArray, F
     found = np.einsum("nij,nj->ni", constants, g[:, q:] + np.einsum("nij,ni->nj", moved, g[:, :q]))
     across = moved @ constants
     own = given + across @ moved.transpose(0, 2, 1)
-    covariance = np.block([[own, across], [across.transpose(0, 2, 1), constants]])
+    covariance = np.empty_like(H)
+    covariance[:, :q, :q] = own
+    covariance[:, :q, q:] = across
+    covariance[:, q:, :q] = across.transpose(0, 2, 1)
+    covariance[:, q:, q:] = constants
     d = np.concatenate([alone + np.einsum("nij,nj->ni", moved, found), found], axis=1)
     whole = moved + along
     variance = ((whole @ constants) * whole).sum(axis=2)

@@ -52,7 +52,7 @@ AGAIN = (
     3  # windows in which parameters that change twice, or rows that stay broken, are rather pushed by forces
 )
 LASTS = 1.5  # windows that one change is in the way at the most; what lasts longer may be forces that began
-BURST = 480  # evaluations that may follow one another: a step and its aftermath
+BURST = 720  # evaluations that may follow one another: a step and its aftermath
 FIRST = 192  # evaluations besides, once: the first 32 windows, which take six each where the model fits
 LONGEST = 200  # evaluations after which what was begun goes no further down: solves that fit take 3 to 10
 SAMPLES_AN_EVALUATION = 512  # samples that pay for one evaluation: bounds the cost where nothing fits

@@ -66,9 +66,11 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     levels = _levels(constants)
     total = sum(odds for _, odds in levels)
     every = [_healthy(constants, share, tuning.PRIOR_HEALTHY * odds / total) for share, odds in levels]
-    timely = every[: 1 + len(tuning.SHEET_FACTORS)]
-    usual = [timely[0], timely[1 + tuning.SHEET_FACTORS.index(1.0)]]
-    wider = [*usual, timely[-1]]
+    factors = [factor for factor, _ in _factors(constants)]
+    timely = every[: len(factors)]
+    as_stated = factors.index(1.0)
+    usual = [timely[0], timely[as_stated]]
+    wider = [*usual, timely[as_stated + 1]]
     seldom = np.array([1.0, tuning.PRIOR_DRIFTS_BESIDE, tuning.PRIOR_DRIFTS_BESIDE])
     others = []
     off = _off(constants)
@@ -104,9 +106,6 @@ def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
     binary = np.array([c.is_binary for c in constants], dtype=bool)
     late = any(c.kind == "delay" and c.shows and not c.is_binary and c.sheet > 0 for c in constants)
     times = ((tuning.AS_CONFIGURED, 1.0), (1.0, tuning.PRIOR_LATE))
-    factors = [
-        (f, tuning.PRIOR_WIDER if f > 1 else 1.0) for f in (tuning.AS_CONFIGURED, *tuning.SHEET_FACTORS)
-    ]
     # what comes along with a delay is open as wide where inputs may be late as where they are
     along = np.array([tuning.OFF_DELAY / max(c.sheet, 1e-9) * _comes_along(c) for c in constants])
     return [
@@ -119,8 +118,21 @@ def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
             odds * likely,
         )
         for time, odds in times[: 1 + late]
-        for factor, likely in factors
+        for factor, likely in _factors(constants)
     ]
+
+
+def _factors(constants: tuple[Constant, ...]) -> list[tuple[float, float]]:
+    """Shares of all data sheets within which constants may be, and prior odds.
+
+    Ten times as wide they stand for two that are far off at once, which no window of a single mass tells from
+    one.
+    """
+    masses = sum(c.kind == "mass" and c.shows and c.sheet > 0 for c in constants)
+    sheets = tuning.SHEET_FACTORS if masses > 1 else tuning.SHEET_FACTORS[:-1]
+    wider = np.cumsum(np.array(sheets) > 1).tolist()
+    odds = [1.0, *(tuning.PRIOR_WIDER**k for k in wider)]
+    return list(zip((tuning.AS_CONFIGURED, *sheets), odds, strict=True))
 
 
 def _healthy(constants: tuple[Constant, ...], share: FloatArray, prior: float) -> Hypothesis:

@@ -21,8 +21,9 @@ CURVED_A_PERIOD = 15.0
 """Samples a period of the fastest mode below which it is open. Needed by: unknown machines (31 of 40)."""
 AS_CONFIGURED = 0.02
 """Hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
-SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0)
-"""Factors on all data-sheet sds, a hypothesis each. Needed by: all constants off within their data sheet."""
+SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Factors on all data-sheet sds, a hypothesis each, the last where there are several masses. Needed by: all
+constants off within their data sheet; m2 -20 % and both outputs -10 %."""
 OFF_RELATIVE = 0.3
 """Prior sd of a mass or gain that is "off". Needed by: m2 −20 %."""
 OFF_DELAY = 1.0
@@ -44,7 +45,8 @@ PRIOR_LATE = 0.002
 """Prior odds of inputs as late as their data sheet lets them, against in time: half a sample (two sds) is
 named, a tenth of one is not. Needed by: late, hold zero."""
 PRIOR_WIDER = 0.35
-"""Prior odds that all data sheets are three times too narrow, against as stated. Needed by: one mass +8 %."""
+"""Prior odds that all data sheets are three times too narrow, against as stated; and ten, against three.
+Needed by: one mass +8 %."""
 WORTH_NAMING = 0.1
 """Share of its data sheet by which a gain that drifts must be off to be named. Needed by: rig 30138."""
 BARE_MENTION = 3.0

@@ -42,26 +42,31 @@ def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
 
     What drifts within a share of its data sheet is no drift worth a word, however surely it is one.
     """
-    found: dict[str, Belief] = {}
-    for h, weight, mean, covariance in zip(
-        constants.hypotheses, constants.weight, constants.mean, constants.covariance, strict=True
-    ):
-        for name, members, drifts in h.named:
-            one = of[int(np.argmax(members))]
-            about = Belief(name, drifts, one.kind, float(weight), 0.0, 0.0)
-            belief = _belief(about, members, mean, covariance)
-            if drifts:
-                larger = _share_beyond(belief, tuning.WORTH_NAMING * one.sheet)
-                belief = replace(belief, probability=larger * belief.probability)
-            same = found.get(belief.label)
-            found[belief.label] = belief if same is None else _together(same, belief)
-    return tuple(_shared(list(found.values())))
-
-
-def _share_beyond(belief: Belief, size: float) -> float:
-    """Probability that something is off by more than a size, either way."""
-    sd = max(belief.sd, 1e-300)
-    return float(ndtr((-size - belief.size) / sd) + ndtr((belief.size - size) / sd))
+    said = [(row, *what) for row, h in enumerate(constants.hypotheses) for what in h.named]
+    if not said:
+        return ()
+    rows = [row for row, *_ in said]
+    members = np.array([each for _, _, each, _ in said])
+    first = [of[i] for i in members.argmax(axis=1).tolist()]
+    share = members / members.sum(axis=1, keepdims=True)
+    size = (share * constants.mean[rows]).sum(axis=1)
+    sd = np.sqrt(np.einsum("ni,nij,nj->n", share, constants.covariance[rows], share, optimize=True))
+    relative = np.array([one.kind != "delay" for one in first], dtype=bool)
+    sd = np.where(relative, np.exp(size) * sd, sd)
+    size = np.where(relative, np.expm1(size), size)
+    least = tuning.WORTH_NAMING * np.array([one.sheet for one in first])
+    larger = ndtr((-least - size) / np.maximum(sd, 1e-300)) + ndtr((size - least) / np.maximum(sd, 1e-300))
+    drifts = np.array([each for *_, each in said], dtype=bool)
+    probability = constants.weight[rows] * np.where(drifts, larger, 1.0)
+    places: dict[tuple[str, bool], list[int]] = {}
+    for place, (_, name, _, drifting) in enumerate(said):
+        places.setdefault((name, drifting), []).append(place)
+    return tuple(
+        _shared([
+            _together(name, drifting, first[at[0]].kind, probability[at], size[at], sd[at])
+            for (name, drifting), at in places.items()
+        ])
+    )  # fmt: skip
 
 
 def _shared(found: list[Belief]) -> list[Belief]:
@@ -79,19 +84,12 @@ def _shared(found: list[Belief]) -> list[Belief]:
     return [replace(b, probability=each) if b in tied else b for b in found]
 
 
-def _together(one: Belief, other: Belief) -> Belief:
-    """Two ways in which the same may be off, as one: mean and sd of their mixture."""
-    probability = one.probability + other.probability
-    share = one.probability / max(probability, 1e-300)
-    size = share * one.size + (1 - share) * other.size
-    square = share * (one.sd**2 + one.size**2) + (1 - share) * (other.sd**2 + other.size**2)
-    return replace(one, probability=probability, size=size, sd=float(np.sqrt(max(square - size**2, 0.0))))
-
-
-def _belief(about: Belief, members: FloatArray, mean: FloatArray, covariance: FloatArray) -> Belief:
-    """A belief with its size, from where the members (c,) of what is off are by its hypothesis."""
-    share = members / members.sum()
-    log, sd = float(share @ mean), float(np.sqrt(share @ covariance @ share))
-    if about.kind == "delay":
-        return replace(about, size=log, sd=sd)
-    return replace(about, size=float(np.expm1(log)), sd=float(np.exp(log) * sd))
+def _together(
+    name: str, drifts: bool, kind: str, probability: FloatArray, size: FloatArray, sd: FloatArray
+) -> Belief:
+    """Ways (n,) in which the same may be off, as one: probability, and mean and sd of their mixture."""
+    total = float(probability.sum())
+    share = probability / total if total > 0 else np.full(len(size), 1 / len(size))
+    mean = float(share @ size)
+    square = float(share @ (sd**2 + size**2))
+    return Belief(name, drifts, kind, total, mean, max(square - mean**2, 0.0) ** 0.5)

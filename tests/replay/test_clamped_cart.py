@@ -67,5 +67,5 @@ def test_windows_that_mostly_rest_are_not_sure_of_a_wrong_stiffness(
     held = [r["lower"] <= STIFFNESS[1] and r["upper"] >= STIFFNESS[0] for r in rows]
     figure(f"ECP-210 clamped, windows of {window_s:g} s: {sum(held)} of {len(held)} intervals hold")
     assert len(held) >= 5
-    assert sum(held) >= 0.8 * len(held)
+    assert sum(held) >= 0.85 * len(held)
     assert document["alarms"] == []

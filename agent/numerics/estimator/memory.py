@@ -45,6 +45,8 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
     found = json.loads(content)
     if found.get("version") != VERSION or found["constants"]["names"] != [h.name for h in hypotheses]:
         return None
+    if found.get("footing") is None:  # earlier programs did not keep it
+        return None
     n, c, s = found["noise"], found["constants"], found["scatter"]
     array = np.array
     noise = Noise(
@@ -67,16 +69,14 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
     )  # fmt: skip
     scatter = Scatter(array(s["within"]), array(s["between"]), s["dof"], s["compared"])
     known = Knowledge(array(found["theta"]), array(found["eta"]), noise, constants, scatter, found["kept"])
-    return replace(known, footing=_footing_of(found.get("footing"), count))
+    return replace(known, footing=_footing_of(found["footing"], count))
 
 
 def _footing(footing: Footing) -> dict[str, object]:
     return {"information": _list(footing.information), "sensitivity": _list(footing.sensitivity)}
 
 
-def _footing_of(kept: dict[str, list] | None, constants: int) -> Footing | None:  # type: ignore[type-arg]
-    if kept is None:  # earlier programs did not keep it
-        return None
+def _footing_of(kept: dict[str, list], constants: int) -> Footing:  # type: ignore[type-arg]
     information = np.array(kept["information"])
     return Footing(information, np.array(kept["sensitivity"]).reshape(len(information), constants))
 

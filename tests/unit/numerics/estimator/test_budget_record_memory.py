@@ -1,5 +1,7 @@
 """The small parts of the sliding estimator: budget, record of samples, memory of what was learnt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,12 +96,14 @@ def test_memory_round_trip_gives_the_same_answers() -> None:
     assert to_text(again) == to_text(from_text(to_text(again), learner.hypotheses, fresh))  # type: ignore[arg-type]
 
 
-def test_memory_of_other_constants_or_another_version_is_not_taken() -> None:
-    rig = ChainRig()
+def test_memory_of_other_constants_or_an_earlier_program_is_not_taken() -> None:
+    rig, noise = ChainRig(), DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
     learner, other = learner_of(rig), learner_of(ChainRig(sheet=(0.0, 0.01, 0.01, 0.25)))
-    known = learner.prior(np.full(2, 1e-4), np.full(2, 0.3))
-    assert from_text(to_text(known), other.hypotheses, known.noise) is None
-    assert (
-        from_text(to_text(known).replace('"version": 1', '"version": 0'), learner.hypotheses, known.noise)
-        is None
-    )
+    known = learner.prior(noise.sigma, np.full(2, 0.3))
+    fresh = known.noise
+    known = learner.learn(record(rig, np.random.default_rng(2), noise)[0], known)[1]
+    text = to_text(known)
+    assert from_text(text, learner.hypotheses, fresh) is not None
+    assert from_text(text, other.hypotheses, fresh) is None
+    assert from_text(text.replace('"version": 1', '"version": 0'), learner.hypotheses, fresh) is None
+    assert from_text(to_text(replace(known, footing=None)), learner.hypotheses, fresh) is None

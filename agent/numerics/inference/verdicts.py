@@ -91,5 +91,5 @@ def _together(
     total = float(probability.sum())
     share = probability / total if total > 0 else np.full(len(size), 1 / len(size))
     mean = float(share @ size)
-    square = float(share @ (sd**2 + size**2))
-    return Belief(name, drifts, kind, total, mean, max(square - mean**2, 0.0) ** 0.5)
+    variance = float(share @ (sd**2 + (size - mean) ** 2))
+    return Belief(name, drifts, kind, total, mean, variance**0.5)

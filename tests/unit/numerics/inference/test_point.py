@@ -48,3 +48,20 @@ def test_a_window_that_hardly_knows_a_parameter_does_not_carry_the_point_away() 
     assert np.all(np.abs(point - before) < 0.5 * said.sd_repeat)
     sensitivity = known.footing.sensitivity
     np.testing.assert_allclose(footing.sensitivity, sensitivity, atol=0.02 * np.abs(sensitivity).max())
+
+
+def test_a_point_moves_with_the_constants_as_the_windows_that_it_rests_on() -> None:
+    """Of windows that tell as much its sensitivity lies between theirs, the newest counting most."""
+    rng = np.random.default_rng(7)
+    learner = learner_of(RIG, WINDOW)
+    known = learner.prior(NOISE.sigma, np.full(2, 0.3))
+    _, known = learner.learn(record(RIG, rng, NOISE, WINDOW, force=1.0, off=1.0)[0], known)
+    first = known.footing.sensitivity
+    at = learner.solve(record(RIG, rng, NOISE, WINDOW, force=1.0, off=1.0)[0], known)[1]
+    _, alone = learner.lineariser.nearer(at, known, known.eta, known.eta, same=False)
+    _, pooled = learner.lineariser.nearer(at, known, known.eta, known.eta, same=True)
+    own = alone.sensitivity
+    total = 0.75 * known.footing.information + alone.information
+    expected = np.linalg.solve(total, 0.75 * known.footing.information @ first + alone.information @ own)
+    np.testing.assert_allclose(pooled.information, total)
+    np.testing.assert_allclose(pooled.sensitivity, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())

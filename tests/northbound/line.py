@@ -71,6 +71,8 @@ class Line:
             while True:
                 ready, _, _ = select.select([near, far], [], [])
                 self._flows.wait()
+                if (near, far) not in self._pairs:  # cut while nothing flowed: what it holds is lost
+                    return
                 for one in ready:
                     data = one.recv(65536)
                     if not data:

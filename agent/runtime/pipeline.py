@@ -32,6 +32,7 @@ from agent.records import Baseline, ConditionsRecord, CovariateMean, HealthEvent
 from agent.runtime.assembly.acquisition_plan import make_acquisition
 from agent.runtime.assembly.stages import make_stages
 from agent.runtime.ledger import Ledger
+from agent.runtime.tuning import LEARNT_S
 from agent.types import Aligned, FloatArray, IntArray, Learnt, Samples
 from drivers.port import SampleBlock
 
@@ -102,6 +103,7 @@ class Pipeline:
         self._taken: list[Taken] = []
         self._source_events: list[Record] = []
         self._conditions_due: dict[int, int] = {}
+        self._learnt_ns = self._kept_ns = -(1 << 62)  # newest samples learnt from, and when that was stored
 
     def adopt(self, learnt: Learnt | None, covariates: Sequence[CovariateMean] = ()) -> None:
         """Begin with what earlier runs learnt of the rig and saw of covariates, before the first sample."""
@@ -194,7 +196,7 @@ class Pipeline:
         last = self.stages.quality.finish()
         self.acquisition.arrived(last.values)
         records += self._estimated(last)
-        return records + list[Record](self.covariates.finish())
+        return records + self._knowledge() + list[Record](self.covariates.finish())
 
     def hurry(self) -> None:
         """Begin no fit, search or measurement any more: what waits for one waits forever. From any thread."""
@@ -277,11 +279,20 @@ class Pipeline:
             return []
         times = estimated.times(sample for sample, _ in estimated.beliefs)
         said = self.stages.constants.step(estimated.beliefs, times)
-        content = self.stages.estimation.estimator.knowledge()
-        kept: list[Record] = []
-        if content is not None:
-            kept.append(LearntRecord(self.config.rig.name, estimated.newest_ns, Learnt(self._key, content)))
+        self._learnt_ns = estimated.newest_ns
+        is_due = self._learnt_ns >= self._kept_ns + LEARNT_S * 1e9
+        kept = self._knowledge() if is_due else []
         return [*said.values, *self.sensor_alarms.step(said.events), *kept]
+
+    def _knowledge(self) -> list[Record]:
+        """Return what is known of the rig, for the next start, where that has changed and is enough."""
+        if self._learnt_ns <= self._kept_ns:
+            return []
+        content = self.stages.estimation.estimator.knowledge()
+        if content is None:
+            return []
+        self._kept_ns = self._learnt_ns
+        return [LearntRecord(self.config.rig.name, self._learnt_ns, Learnt(self._key, content))]
 
     def _found(self, estimated: Estimated) -> list[Record]:
         """Return what the method finds wrong with channels."""

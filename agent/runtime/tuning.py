@@ -13,6 +13,9 @@ LONGEST_ROUND = 5.0  # between two rounds of computing, in least times between (
 LONGEST_ROUND_S = 0.5  # ... and s, unless that is longer: many rigs on a processor alarm no later
 HEALTH_PERIOD_NS = 10_000_000_000  # ns between ledgers, of the clock, of samples in a replay
 
+LEARNT_S = 60.0
+"""s of samples between two storings of what was learnt, 70 kB each: a drift is learnt from every window, and
+a second's windows would wear out a card by that alone, 6 GB a day."""
 FIRST_FORECAST_S = 600.0  # s after a start until the first forecast, where forecasts are rarer
 
 # ------------------------------------------------------------------ faults and delays

@@ -1,5 +1,6 @@
 """What was learnt of a rig outlives the process: the next run begins with it, another rig does not."""
 
+import base64
 import json
 import sqlite3
 from pathlib import Path
@@ -34,7 +35,8 @@ def stored(db: Path) -> list[tuple[int, dict[str, Any]]]:
 
 def sigma(content: dict[str, Any]) -> float:
     """The sd of the first sensor."""
-    return float(np.exp(content["noise"]["log_sigma"][0]))
+    kept = base64.b64decode(content["noise"]["log_sigma"]["base64"])
+    return float(np.exp(np.frombuffer(kept, dtype="<f8")[0]))
 
 
 def test_replay_begins_with_what_the_run_before_learnt(tmp_path: Path) -> None:

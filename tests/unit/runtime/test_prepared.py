@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.config import load
-from agent.records import Health, Record
+from agent.records import Health, LearntRecord, Record
 from agent.runtime.ledger import Conservation
 from agent.runtime.pipeline import Pipeline, Prepared
 from agent.runtime.replay import SOURCE, make_pipeline
@@ -85,6 +85,30 @@ def test_ledger_counts_prepared_samples_as_waiting(pipelines: tuple[Pipeline, Pi
         assert found.received == found.used + sum(found.rejected.values())
         assert found == ledger(stepped, counts, 0)
         ahead.estimate(piece)
+
+
+def test_what_was_learnt_is_given_once_a_minute_of_samples_and_at_the_end(
+    pipelines: tuple[Pipeline, Pipeline], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seldom, often = pipelines
+    v = noisy(np.random.default_rng(3), 130_000, 1e-6).v[:, [2, 0, 1]]
+    t_ns = np.rint(np.arange(len(v)) * PERIOD * 1e9).astype(np.int64)
+
+    def learnt(pipeline: Pipeline) -> list[int]:
+        pieces = [slice(start, start + 500) for start in range(0, len(v), 500)]
+        steps = [pipeline.step(SOURCE, SampleBlock(v[p], 0, None, t_ns[p]), None, None) for p in pieces]
+        return [one.t_ns for records in steps for one in records if isinstance(one, LearntRecord)]
+
+    kept = learnt(seldom)
+    assert len(kept) > 1
+    assert kept[0] < 2e9
+    assert np.diff(kept).min() >= 60e9
+    ends = [one.t_ns for one in seldom.finish() if isinstance(one, LearntRecord)]
+    monkeypatch.setattr("agent.runtime.pipeline.LEARNT_S", 0.0)
+    every = learnt(often)
+    assert len(every) > 5 * len(kept)
+    assert ends == every[-1:]
+    assert not any(isinstance(one, LearntRecord) for one in seldom.finish() + often.finish())
 
 
 def ledger(pipeline: Pipeline, counts: Counts, prepared: int) -> Health:

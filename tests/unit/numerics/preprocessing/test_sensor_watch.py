@@ -81,6 +81,30 @@ def test_watch_of_readings_of_few_digits_finds_nothing(seed: int, count: int) ->
     assert watch(of_digits(slow(seed), count)) == []
 
 
+def tones(seed: int) -> FloatArray:
+    """Channels of three tones each, with noise, whose peaks are 1.01 to 1.24."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(12_000)[:, None]
+    period, phase = rng.uniform(30, 300, (3, 1, 3)), rng.uniform(0, 2 * np.pi, (3, 1, 3))
+    v = np.tensordot([1.0, 0.4, 0.2], np.cos(2 * np.pi * t / period + phase), 1)
+    v *= rng.uniform(1.01, 1.24, 3) / np.abs(v).max(axis=0)
+    return np.asarray(v + 2e-4 * rng.standard_normal(v.shape))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_watch_of_peaks_just_beyond_a_power_of_ten_finds_nothing(seed: int) -> None:
+    """There a table's step is ten times that of readings not much smaller."""
+    assert watch(of_digits(tones(seed), 3)) == []
+
+
+@pytest.mark.parametrize("digits", [4, 5])
+@pytest.mark.parametrize("seed", range(3))
+def test_watch_names_a_channel_that_is_clipped_just_beyond_a_power_of_ten(seed: int, digits: int) -> None:
+    v = tones(seed)
+    v[:, 0] = np.clip(v[:, 0], -1.2, 0.9 * v[:, 0].max())
+    assert {f.channel for f in watch(of_digits(v, digits))} == {0}
+
+
 @pytest.mark.parametrize("count", [4, 5])
 def test_watch_names_a_clipped_channel_of_few_digits(count: int) -> None:
     v = slow(0)

@@ -119,25 +119,28 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
             continue
         side = int(x[start] > x[start - 1])
         near = np.abs(x - x[start]) <= abs(x[start] - x[start - 2])
-        here = max(grain, _step_at(float(x[start]), x, near))
+        here = max(grain, _step_at(x, start, near))
         speed = unbraked((1 if side else -1) * np.diff(x[start - tuning.BRAKED_OVER - 2 : start]), here)
         if speed * count > tuning.OVERSHOOT * here:
             found.append(Top(side, float(x[start]), float(speed * count / here)))
     return found
 
 
-def _step_at(top: float, x: FloatArray, near: BoolArray) -> float:
-    """Return the step of readings x about one of them; near: those that are certainly of its step.
+def _step_at(x: FloatArray, start: int, near: BoolArray) -> float:
+    """Return the step of readings x about x[start]; near: those that are certainly of its step.
 
-    From a power of ten on, the step of a table is ten times that of readings which are not much smaller.
+    Beyond a power of ten the step of a table is ten times that of readings which are not much smaller. What
+    comes from before it in one step is no peak of such a table.
     """
+    top, sign = float(x[start]), np.sign(x[start])
     step = resolution(x[near | (x * top >= tuning.ALIKE * top**2)])
     if not step or not top:
         return step
     decade = 10.0 ** np.floor(np.log10(abs(top)))
     tens = 10.0 ** (np.floor(np.log10(step) + tuning.ROUNDING) + 1)
-    beyond = x[x * np.sign(top) >= decade] / tens
-    is_table = decade >= tuning.ALIKE * abs(top) and np.abs(beyond - np.round(beyond)).max() < tuning.WHOLE
+    beyond = x[x * sign >= (1 - tuning.WHOLE) * decade] / tens
+    slow = x[start - 1] * sign >= (1 - tuning.WHOLE) * decade >= tuning.ALIKE * abs(top)
+    is_table = slow and np.abs(beyond - np.round(beyond)).max(initial=0.0) < tuning.WHOLE
     return max(step, float(tens)) if is_table else step
 
 

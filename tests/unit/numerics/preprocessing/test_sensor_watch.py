@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from agent.numerics.preprocessing.rails import resolution
+from agent.numerics.preprocessing.rails import resolution, tops
 from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch
 from tests.unit.numerics.rigs import FloatArray, noisy, record, sampled
 
@@ -97,11 +97,21 @@ def test_watch_of_peaks_just_beyond_a_power_of_ten_finds_nothing(seed: int) -> N
     assert watch(of_digits(tones(seed), 3)) == []
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("power", range(-8, 5))
+def test_tops_at_a_power_of_ten_are_found_whatever_its_last_bit(power: int, sign: int) -> None:
+    into = 0.93 - np.cumsum([0.0, 0.16, 0.17, 0.16, 0.17, 0.16, 0.17, 0.16])[::-1]
+    x = np.concatenate([into, np.ones(12), np.full(9, 0.95)]) * float(f"{sign}e{power}")
+    found = tops(x, 1e-3 * 10.0**power)
+    assert [top.value for top in found] == [x[8]]
+    assert found[0].beyond == pytest.approx(0.16 * 12 / 0.01, rel=1e-6)
+
+
 @pytest.mark.parametrize("digits", [4, 5])
-@pytest.mark.parametrize("seed", range(3))
-def test_watch_names_a_channel_that_is_clipped_just_beyond_a_power_of_ten(seed: int, digits: int) -> None:
-    v = tones(seed)
-    v[:, 0] = np.clip(v[:, 0], -1.2, 0.9 * v[:, 0].max())
+@pytest.mark.parametrize("end", [0.8, 1.0, 1.05, 1.1])
+def test_watch_names_a_channel_that_is_clipped_about_a_power_of_ten(end: float, digits: int) -> None:
+    v = tones(0)
+    v[:, 0] = np.clip(1.3 * v[:, 0], -1.6, end)
     assert {f.channel for f in watch(of_digits(v, digits))} == {0}
 
 

@@ -12,11 +12,20 @@ from agent.numerics.estimator.tuning import LINE_LEVEL, MOST_LINES, PRESENT_NODE
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise.lines import between
 from agent.numerics.inference.noise.rounding import Rounding
-from agent.numerics.inference.posterior import Knowledge, Posterior, shifted
+from agent.numerics.inference.posterior import Knowledge, Posterior, neglected, shifted
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
 from agent.numerics.model.statespace import StateSpace
-from agent.numerics.model.uncertain import CURVED, Rig, Sampled, columns_of, delays_of, gains_of, sampled
+from agent.numerics.model.uncertain import (
+    CURVED,
+    Rig,
+    Sampled,
+    columns_of,
+    delays_of,
+    gains_of,
+    sampled,
+    unit_of,
+)
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
 from agent.types import FloatArray
 
@@ -88,7 +97,7 @@ def operating_point(
     assert known.footing is not None  # noqa: S101 - since the first window
     # what constants do in the windows that the point rests on, since in one alone it may be anything
     sensitivity = known.footing.sensitivity
-    shape = _shape(known, sensitivity, sharpest)
+    shape = _shape(known, sensitivity, sharpest, unit_of(rig, known.theta))
     # rows are of windows to come: constants walk until then, and each row's own readings tell of them
     known = replace(known, constants=known.constants.predicted())
     eta = known.constants.standing[0]
@@ -185,8 +194,11 @@ def _directions(rig: Rig, known: Knowledge) -> FloatArray:
     return directions
 
 
-def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray) -> Shape:
-    """Return the shape of the mixture where constants move parameters of sd `own` (q,) by `sensitivity`."""
+def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray, unit: FloatArray) -> Shape:
+    """Return the shape of the mixture where constants move parameters of sd `own` (q,) by `sensitivity`.
+
+    unit: (q,) size of a deviation of 1.
+    """
     constants = known.constants
     mean, P = constants.standing
     by_constants = np.sqrt(((sensitivity @ _root(P)) ** 2).sum(axis=1))
@@ -195,7 +207,8 @@ def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray) -> Shape:
     *each, linear = shifted(known.theta, moved @ sensitivity.T)
     means = np.array(each)
     variance = np.einsum("ia,hab,ib->hi", sensitivity, constants.covariance, sensitivity, optimize=True)
-    lower, upper = interval95(constants.weight, means, np.sqrt(own**2 + np.maximum(variance, 0.0)))
+    variance = np.maximum(variance, 0.0) + neglected(means - linear, unit) ** 2
+    lower, upper = interval95(constants.weight, means, np.sqrt(own**2 + variance))
     apart = 0.5 * np.ptp(means[constants.stands], axis=0)
     half = np.maximum(0.5 * (upper - lower) - apart, 0.0) / NORMAL_975
     share = np.sqrt(np.maximum(half**2 - own**2, 0.0)) / size

@@ -18,7 +18,7 @@ from agent.numerics.inference.noise.intensities import first_nodes
 from agent.numerics.inference.noise.lines import with_lines
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.noise.state import Noise, chance, louder
-from agent.numerics.inference.posterior import Knowledge, Line, Posterior, shifted
+from agent.numerics.inference.posterior import Knowledge, Line, Posterior, neglected, shifted
 from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio, widened
 from agent.numerics.inference.spectral.algebra import inverse, quadratic
 from agent.numerics.inference.spectral.columns import Regressor, Window
@@ -319,10 +319,11 @@ class Learner:
         _, _, alone, V, Z = at.eliminated
         u = at.unit
         own = np.diag(V)
-        means = shifted(at.theta + u * alone, u * ((after.mean - known.eta) @ -Z.T))
+        here = at.theta + u * alone
+        means = shifted(here, u * ((after.mean - known.eta) @ -Z.T))
         # a square: what is below 0 is rounding
         unsure = np.maximum(np.einsum("ia,hab,ib->hi", Z, after.covariance, Z, optimize=True), 0.0)
-        variance = u**2 * (own + unsure)
+        variance = u**2 * (own + unsure) + neglected(means - here, u) ** 2
         mean = after.weight @ means
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)

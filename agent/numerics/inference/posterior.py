@@ -122,6 +122,15 @@ class Line:
         return self.end.holds and self.moves
 
 
+def neglected(apart: FloatArray, unit: FloatArray) -> FloatArray:
+    """Return the term of second order (h, q) of parameters so far (h, q) from where the model is straight.
+
+    unit: (q,) size of a deviation of 1. What the model's curvature does there is of the size of half the
+    square; an explanation that is far away is not as sure as its own data make it.
+    """
+    return np.asarray(0.5 * apart**2 / unit)
+
+
 def shifted(theta: FloatArray, shift: FloatArray) -> FloatArray:
     """Parameters theta (q,) moved by shifts (h, q) due to constants: as factors, since constants scale them.
 

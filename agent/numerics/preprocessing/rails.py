@@ -132,7 +132,8 @@ def _step_at(x: FloatArray, start: int, near: BoolArray) -> float:
     Beyond a power of ten the step of a table is ten times that of readings which are not much smaller. What
     comes from before it in one step is no peak of such a table.
     """
-    top, sign = float(x[start]), np.sign(x[start])
+    top = float(x[start])
+    sign = np.sign(top)
     step = resolution(x[near | (x * top >= tuning.ALIKE * top**2)])
     if not step or not top:
         return step

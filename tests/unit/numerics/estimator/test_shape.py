@@ -37,9 +37,14 @@ def test_interval_of_a_row_like_those_the_point_rests_on_is_that_of_the_mixture(
     assert assumed is not None
     S = assumed.sensitivity
     means = shifted(known.theta, (mixture.mean - known.eta) @ S.T)
-    spread = np.sqrt(own**2 + np.einsum("ia,hab,ib->hi", S, mixture.covariance, S))
-    lower, upper = interval95(mixture.weight, means, spread)
     mean, P = mixture.standing
+    far = means - shifted(known.theta, S @ (mean - known.eta))
+    second_order = (
+        0.5 * far**2 / known.theta
+    )  # which explanations so far from where the model is straight neglect
+    assert second_order[tied].max() > own.min()
+    spread = np.sqrt(own**2 + np.einsum("ia,hab,ib->hi", S, mixture.covariance, S) + second_order**2)
+    lower, upper = interval95(mixture.weight, means, spread)
     by_constants = np.sqrt(np.einsum("ia,ab,ib->i", S, P, S))
     shape = point.shape
     half = NORMAL_975 * np.sqrt(own**2 + (shape.share * by_constants) ** 2) + shape.apart * by_constants

@@ -103,7 +103,8 @@ class Pipeline:
         self._taken: list[Taken] = []
         self._source_events: list[Record] = []
         self._conditions_due: dict[int, int] = {}
-        self._learnt_ns = self._kept_ns = -(1 << 62)  # newest samples learnt from, and when that was stored
+        self._learnt_ns = self._kept_ns = -(1 << 62)  # of the samples learnt from last, and of those stored
+        self._is_kept = True
 
     def adopt(self, learnt: Learnt | None, covariates: Sequence[CovariateMean] = ()) -> None:
         """Begin with what earlier runs learnt of the rig and saw of covariates, before the first sample."""
@@ -280,18 +281,21 @@ class Pipeline:
         times = estimated.times(sample for sample, _ in estimated.beliefs)
         said = self.stages.constants.step(estimated.beliefs, times)
         self._learnt_ns = estimated.newest_ns
-        is_due = self._learnt_ns >= self._kept_ns + LEARNT_S * 1e9
+        self._is_kept = False
+        # a clock that is set may go back
+        is_due = abs(self._learnt_ns - self._kept_ns) >= LEARNT_S * 1e9
         kept = self._knowledge() if is_due else []
         return [*said.values, *self.sensor_alarms.step(said.events), *kept]
 
     def _knowledge(self) -> list[Record]:
         """Return what is known of the rig, for the next start, where that has changed and is enough."""
-        if self._learnt_ns <= self._kept_ns:
+        if self._is_kept:
             return []
         content = self.stages.estimation.estimator.knowledge()
         if content is None:
             return []
         self._kept_ns = self._learnt_ns
+        self._is_kept = True
         return [LearntRecord(self.config.rig.name, self._learnt_ns, Learnt(self._key, content))]
 
     def _found(self, estimated: Estimated) -> list[Record]:

@@ -42,7 +42,7 @@ REST = 0.5  # an input that is at one value for so much of the time rests there
 ALIKE = 0.8
 """Share of a flat top's value from which on readings have its step, where steps grow with values. Of the few
 nearer ones the divisor is often a multiple of the step, and clips are missed."""
-WHOLE = 1e-6  # of a step that a reading may be off a whole number of them, and of a power of ten off that
+WHOLE = 1e-6  # share of a step by which a reading may miss a whole number of them, and of a power of ten that
 ROUNDING = 1e-9  # share of a reading up to which differences are rounding: 30 bits, more than a sensor has
 # resample.py
 ON_A_SAMPLE = 1e-6  # of a sample: a place this near to a reading is that reading

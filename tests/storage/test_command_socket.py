@@ -4,7 +4,7 @@ import stat
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +134,35 @@ def test_clients_that_dribble_keep_nobody_waiting(server: Path) -> None:
         thread.join()
         for peer in peers:
             peer.close()
+
+
+def test_client_waits_to_be_let_in_where_others_wait_already(tmp_path: Path) -> None:
+    path = tmp_path / "rig.db"
+    with ExitStack() as held, held.enter_context(socket.socket(socket.AF_UNIX)) as listener:
+        listener.bind(str(beside(path, ".sock")))
+        listener.listen(0)
+        count = 0
+        with suppress(BlockingIOError):  # until nobody more may wait
+            while count < 100:
+                peer = held.enter_context(socket.socket(socket.AF_UNIX))
+                peer.setblocking(False)
+                peer.connect(str(beside(path, ".sock")))
+                count += 1
+        assert count < 100
+        with pytest.raises(StoreError, match=r"did not answer in 0\.05 s"):
+            ask(path, "twice", timeout_s=0.05)
+
+        def let_in() -> None:
+            for _ in range(count):
+                listener.accept()[0].close()
+            with listener.accept()[0] as asking:
+                asking.recv(100)
+                asking.sendall(b'{"ok": true, "answer": 8}\n')
+
+        thread = threading.Thread(target=let_in)
+        thread.start()
+        assert ask(path, "twice", timeout_s=10) == {"answer": 8}
+        thread.join()
 
 
 def test_client_that_dribbles_is_cut_off_in_the_end(server: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from agent.numerics.inference.scatter import Scatter
 from agent.types import FloatArray
 
 VERSION = 2  # fixed by the memory's form
-_BEFORE = 1  # arrays were lists of decimal numbers
+_BEFORE = 1  # fixed by the form before: arrays were lists of decimal numbers
 
 
 def to_text(known: Knowledge) -> str:

@@ -273,6 +273,12 @@ def _line(answer: Mapping[str, Any]) -> bytes:
     return json.dumps(answer).encode() + b"\n"
 
 
+def _timeval(seconds: float) -> bytes:
+    """Return seconds as the kernel's struct timeval."""
+    whole = int(seconds)
+    return struct.pack("@ll", whole, int((seconds - whole) * 1e6))
+
+
 def ask(
     path: Path, command: str, timeout_s: float = PATIENCE_S, *, brief: bool = False, **arguments: Any
 ) -> dict[str, Any]:
@@ -286,11 +292,13 @@ def ask(
     file = beside(Path(path), ".sock")
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as peer, _short_name(file) as name:
-            peer.settimeout(timeout_s)
+            # where others wait to be let in a socket with a time-out of Python's would be refused at once
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(timeout_s))
             peer.connect(name)
+            peer.settimeout(timeout_s)
             peer.sendall(_line({"command": command, **arguments}))
             answer = json.loads(_last_line(peer, time.monotonic() + timeout_s if brief else None))
-    except TimeoutError as error:
+    except (TimeoutError, BlockingIOError) as error:
         advice = "it may still be done: look, then try again"
         raise StoreError.at(path, f"its agent did not answer in {timeout_s:g} s", advice) from error
     except PermissionError as error:

@@ -11,8 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.spectral.algebra import inverse, log_determinant, root
-from agent.numerics.inference.tuning import JITTER
+from agent.numerics.inference.information import Information, Update
 from agent.numerics.model.uncertain import Constant, Kind
 from agent.types import BoolArray, FloatArray
 
@@ -166,6 +165,13 @@ def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, FloatAr
     return out
 
 
+def apart_of(constants: tuple[Constant, ...]) -> FloatArray:
+    """Return the matrix (c, c) that takes from deviations the mean of those of their kind; delays stay."""
+    kinds = np.array([c.kind for c in constants])
+    alike = (kinds[:, None] == kinds) & (kinds != "delay")
+    return np.asarray(np.eye(len(constants)) - alike / np.maximum(alike.sum(axis=1), 1)[:, None])
+
+
 def _odds(walks: tuple[float, ...]) -> float:
     """Prior odds of something that is off with these walks, against one that stays."""
     return tuning.PRIOR_DRIFTS if any(walks) else 1.0
@@ -253,26 +259,32 @@ class Constants:
         first = Constants.prior(self.hypotheses)
         return replace(self.after(windows), weight=stays * self.weight + (1 - stays) * first.weight)
 
-    def switched(self, windows: float, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
-        """Return what is known after a window so many after the last, over which hypotheses may switch.
+    def switching(self, windows: float, said: Information) -> Update:
+        """Return the update by a window so many after the last, over which hypotheses may switch.
 
-        S, g, at: as in `updated`. Each hypothesis is weighed as it stayed and as it was switched to: it
-        begins with its prior, and pays for how wide that is before its odds count. It goes on as it is
-        likelier, since a Gaussian about both would let all constants go.
+        Each is weighed as it stayed and as it was switched to: it begins with its prior, and pays for how
+        wide that is before its odds count.
         """
         stays = (1 - tuning.SWITCH) ** windows
         stayed = self.after(windows)
         begun = self._begun
-        both = Constants(
-            self.hypotheses * 2,
+        return Update(
             np.concatenate([stays * stayed.weight, (1 - stays) * begun.weight]),
             np.concatenate([stayed.mean, begun.mean]),
             np.concatenate([stayed.covariance, begun.covariance]),
-        ).updated(S, g, at)
+            said,
+        )
+
+    def switched(self, update: Update) -> "Constants":
+        """Return what is known after `switching`: each hypothesis goes on as it is likelier.
+
+        A Gaussian about both would let all constants go.
+        """
+        weight, mean, covariance = update.after
         count = len(self.hypotheses)
-        weight = both.weight.reshape(2, count)
-        way = np.arange(count) + count * (weight[1] > weight[0])
-        return Constants(self.hypotheses, weight.sum(axis=0), both.mean[way], both.covariance[way])
+        both = weight.reshape(2, count)
+        way = np.arange(count) + count * (both[1] > both[0])
+        return Constants(self.hypotheses, both.sum(axis=0), mean[way], covariance[way])
 
     @property
     def _begun(self) -> "Constants":
@@ -290,31 +302,10 @@ class Constants:
         moved = variance[:, None, None] * drifting[:, :, None] * drifting[:, None, :]
         return replace(first, mean=(share @ mean)[:, None] * drifting, covariance=first.covariance + moved)
 
-    def updated(self, S: FloatArray, g: FloatArray, at: FloatArray) -> "Constants":
-        """Return what is known after a window of information S (c, c) and score g (c,) about η = at (c,)."""
-        # what the window asks for, along the directions of which it says something, of variance 1/values: the
-        # difference of quadratic forms in S that evidence also is has no digits left where S is large
-        d = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0))
-        values, vectors = np.linalg.eigh(S * np.outer(d, d))
-        kept = values > JITTER * values.max(initial=0.0)
-        along = vectors[:, kept].T / d
-        asked = (vectors[:, kept].T @ (d * g)) / values[kept]
-        left = asked - (self.mean - at) @ along.T
-        across = self.covariance @ along.T
-        spread = along @ across + np.diag(1.0 / values[kept])
-        weighed = np.einsum("hij,hj->hi", inverse(spread), left)
-        evidence = -0.5 * ((left * weighed).sum(axis=1) + log_determinant(spread))
-        log = np.log(np.maximum(self.weight, 1e-300)) + evidence
-        weight = np.exp(log - log.max())
-        # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16
-        # times larger
-        F = root(self.covariance)
-        M = np.eye(len(S)) + F.swapaxes(1, 2) @ S @ F
+    def updated(self, said: Information) -> "Constants":
+        """Return what is known after a window that is straight about one point."""
         return Constants(
-            self.hypotheses,
-            weight / weight.sum(),
-            self.mean + np.einsum("hij,hj->hi", across, weighed),
-            F @ inverse(M) @ F.swapaxes(1, 2),
+            self.hypotheses, *Update(self.weight, self.mean, self.covariance, said).after
         )
 
     @property

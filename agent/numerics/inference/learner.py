@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.constants import Constants, hypotheses_of
+from agent.numerics.inference.constants import Constants, apart_of, hypotheses_of
 from agent.numerics.inference.friction import column, friction
+from agent.numerics.inference.information import Information, Update
 from agent.numerics.inference.linearise import Linearised, Lineariser
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise.after_window import learn
@@ -64,6 +65,7 @@ class Learner:
         self.log_floor = np.log(np.maximum(floor, 1e-300))
         self.sources = sources_of(rig, window, outputs)
         self.hypotheses = hypotheses_of(rig.constants)
+        self.apart = apart_of(rig.constants)
         self.cuts = np.unique(np.round(np.array(tuning.CUTS) * window).astype(np.int64))
         self.threshold = float(chdtri(rig.q, tuning.JUMP_LEVEL))
         self.lineariser = Lineariser(rig, window, outputs, self.sources, self.cuts)
@@ -125,7 +127,8 @@ class Learner:
             return self._posterior(at, predicted), known
         for _ in range(tuning.ROUNDS):
             noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
-            constants = known.constants.switched(later, *self._information(settled, predicted))
+            update = known.constants.switching(later, self._information(settled, predicted))
+            constants = known.constants.switched(update)
             moved = (
                 np.abs(constants.expected - predicted.eta)
                 > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
@@ -136,6 +139,8 @@ class Learner:
             predicted = replace(predicted, eta=constants.expected, theta=at.theta)
             there = replace(predicted, constants=constants, noise=led)
             at = self.lineariser.linearised(window, there, jumps=False)
+        self._spread_out(window, settled, predicted, update)
+        constants = known.constants.switched(update)
         here = _estimate(settled, predicted.eta).at(constants.expected)
         scatter = known.scatter.after(self._ratio(settled) / settled.inflation, here)
         rounding = self.lineariser.rounding_after(settled, noise, before)
@@ -305,17 +310,37 @@ class Learner:
         self.lineariser.evaluations += NOISE_PASS + fit.looks // LOOKS_AN_EVALUATION
 
     # ------------------------------------------------------------------ what it says
-    def _information(self, at: Linearised, known: Knowledge) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Information (c, c) and score (c,) of a window about the constants, and where (c,) it has them."""
-        S, g, *_ = at.eliminated
+    def _information(self, at: Linearised, known: Knowledge) -> Information:
+        """What a window says of the constants about where (c,) it has them."""
+        return self._said(at, known.eta, self._temper(at, known))
+
+    def _said(self, at: Linearised, eta: FloatArray, temper: float) -> Information:
+        S, g, _, V, Z = at.eliminated
+        curved = np.vstack([Z, np.eye(len(eta))]) @ self.apart
+        tells = np.concatenate([1.0 / np.diag(V), np.diag(S)])
+        return Information(S / temper, g / temper, eta, at.cost / temper, curved, tells / temper)
+
+    def _temper(self, at: Linearised, known: Knowledge) -> float:
+        """By how much less a window says of the constants than its own linearisation has it."""
         unsure = np.maximum(1 + known.noise.spread.sum(axis=0), 1.0)
-        temper = max(at.repeats, at.inflation * float(np.mean(known.scatter.factor * unsure)))
-        return S / temper, g / temper, known.eta
+        return float(max(at.repeats, at.inflation * float(np.mean(known.scatter.factor * unsure))))
+
+    def _spread_out(self, window: Window, at: Linearised, known: Knowledge, update: Update) -> None:
+        """Make a window straight wherever hypotheses stand that are possible and far from where it is."""
+        temper = self._temper(at, known)
+        points = [at]
+        while (place := update.farthest()) is not None:
+            near = int(np.argmin([said.neglected(place[None])[0] for said in update.said]))
+            begun = replace(known, eta=update.said[near].at)
+            there = self.lineariser.elsewhere(points[near], window, begun, place)
+            if there is not None:
+                points.append(there)
+                update.also(self._said(there, place, temper))
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
         """Marginal posterior of the parameters over the hypotheses on the constants."""
         if after is None:
-            after = known.constants.updated(*self._information(at, known))
+            after = known.constants.updated(self._information(at, known))
         _, _, alone, V, Z = at.eliminated
         u = at.unit
         own = np.diag(V)

@@ -68,6 +68,15 @@ class Linearised:
         g = self.G[na:nb, -1] - rest.T @ alone
         return *shown(S, g, np.diag(self.G)[na:nb]), alone[psi], V[psi, psi], Z[psi]
 
+    @cached_property
+    def cost(self) -> float:
+        """Twice the negative log likelihood of the bins kept, all but the constants eliminated."""
+        na = self.regression.layout.xi.start
+        score = self.G[:na, -1] + self.ridge.b[:na]
+        M = self.G[:na, :na] + self.ridge.R[:na, :na]
+        power = self.cells.gram(self.Si, self.regression.X[..., -1:])
+        return float(power[0, 0] - score @ refined(M, inverse(M), score))
+
 
 class Lineariser:
     """Linearises windows of one rig and one length.
@@ -170,13 +179,9 @@ class Lineariser:
         share = 1.0
         before = self._cost(at, at.regression, given) + self._strayed(at.theta, known)
         for _ in range(tuning.HALVINGS):
-            self.evaluations += 1
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
-            response = self._at(moved, known, known.kept)
-            regressor = Regressor(self.rig, response, self.sources, known.eta, at.regression.layout.lasting)
-            no_cuts = np.zeros(0, dtype=np.int64)
-            trial = regressor.build(window, lambda X: at.cells.gram(at.Si, X), no_cuts, whole=False)
+            trial, _ = self._trial(at, window, known, moved)
             if self._cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
                 return np.asarray(moved)
             share *= 0.5
@@ -193,6 +198,39 @@ class Lineariser:
         score = G[others, -1] + at.ridge.b[others]
         V = inverse(G[np.ix_(others, others)] + at.ridge.R[np.ix_(others, others)])
         return float(G[-1, -1] - score @ V @ score)
+
+    def elsewhere(
+        self, at: Linearised, window: Window, known: Knowledge, eta: FloatArray
+    ) -> Linearised | None:
+        """Return a window about constants eta (c,) and parameters that go with them, under the same noise.
+
+        None where Gauss-Newton does not come to rest there.
+        """
+        _, _, alone, _, Z = at.eliminated
+        theta = shifted(at.theta + at.unit * alone, -at.unit * (Z @ (eta - known.eta)))
+        there = replace(known, eta=eta)
+        for _ in range(tuning.STEPS):
+            theta = np.maximum(theta, self.rig.lower)
+            columns, unit = self._trial(at, window, there, theta)
+            G = at.cells.gram(at.Si, columns.X)
+            at = replace(at, theta=theta, unit=unit, regression=columns, G=G)
+            _, _, step, V, _ = at.eliminated
+            if self._length(at, step, np.sqrt(np.diag(V))) <= 1.0:
+                return at
+            longest = tuning.LONGEST_STEP
+            theta = at.theta + at.unit * np.clip(step, -longest, 2 * longest)
+        return None
+
+    def _trial(
+        self, at: Linearised, window: Window, known: Knowledge, theta: FloatArray
+    ) -> tuple[Regression, FloatArray]:
+        """The columns of a window at theta (q,), under the noise of another point, and their units (q,)."""
+        self.evaluations += 1
+        response = self._at(theta, known, known.kept)
+        regressor = Regressor(self.rig, response, self.sources, known.eta, at.regression.layout.lasting)
+        no_cuts = np.zeros(0, dtype=np.int64)
+        columns = regressor.build(window, lambda X: at.cells.gram(at.Si, X), no_cuts, whole=False)
+        return columns, response.at.unit
 
     def point(self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray) -> Linearised:
         """Return the window at theta (q,), with columns of jumps at `cuts`."""
@@ -249,10 +287,14 @@ class Lineariser:
         else:
             layout, nb = at.regression.layout, at.regression.layout.base
             step = (inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b))[layout.psi]
+        return step, self._length(at, step, sd)
+
+    def _length(self, at: Linearised, step: FloatArray, sd: FloatArray) -> float:
+        """Length of a step (q,) of sd (q,); of one that would be cut short infinite."""
         held = (at.theta <= self.rig.lower) & (step < 0)
         lengths = np.abs(step) / np.maximum(sd, np.sqrt(tuning.CURVATURE * sd))
         lengths[np.abs(step) > tuning.LONGEST_STEP] = np.inf
-        return step, float(np.max(lengths, where=~held, initial=0.0))
+        return float(np.max(lengths, where=~held, initial=0.0))
 
     def _anchored(self, at: Linearised, anchor: FloatArray) -> Linearised:
         """A window with the point's own prior on the parameters: what says little of one moves no point far.

@@ -13,6 +13,14 @@ DIGITS = 1e-7
 STANDING_WEIGHT = 0.1
 """An interval holds 95 % under each hypothesis of at least this weight. Needed by: both masses +10 %."""
 
+POSSIBLE = 0.001
+"""Weight, of the likeliest's, from which a window is made straight at a hypothesis. Needed by: rig 8805."""
+NEAR = 0.1
+"""Twice the log evidence that neglected terms of second order may cost a hypothesis in a window, about where
+the window is straight. Needed by: rig 8805."""
+PLACES = 8
+"""Most such places besides the first, the likeliest hypotheses' first. Cost only."""
+
 DELAY_SHEET = 0.25
 """Data-sheet sd of the input delay, samples, if unstated. Needed by: force not straight between samples."""
 CURVE_SHEET = 1.0

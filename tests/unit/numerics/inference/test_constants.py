@@ -6,6 +6,7 @@ from scipy.stats import multivariate_normal
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants, hypotheses_of
+from agent.numerics.inference.information import Information
 from agent.numerics.model.uncertain import Constant
 
 CONSTANTS = (
@@ -14,8 +15,20 @@ CONSTANTS = (
     Constant("x1", "output", 0, 0.01),
 )
 
-NOTHING = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-"""Information, score and place of a window that tells nothing of three constants."""
+
+
+def straight(S: np.ndarray, g: np.ndarray, at: np.ndarray) -> Information:
+    """What a window says in which nothing is curved."""
+    return Information(S, g, at, 0.0, np.zeros((0, len(g))), np.zeros(0))
+
+
+def switched(known: Constants, said: Information) -> Constants:
+    """What is known after a window right after the last."""
+    return known.switched(known.switching(1.0, said))
+
+
+NOTHING = straight(np.zeros((3, 3)), np.zeros(3), np.zeros(3))
+"""A window that tells nothing of three constants."""
 
 
 def problem() -> tuple[np.ndarray, np.ndarray, float]:
@@ -29,7 +42,7 @@ def test_constants_update_is_the_exact_mixture_posterior() -> None:
     prior = Constants.prior(hypotheses_of(CONSTANTS))
     at = np.array([0.02, 0.0, -0.01])
     # information and score about another point than the mean
-    after = prior.updated(X.T @ X / sd**2, X.T @ (y - X @ at) / sd**2, at)
+    after = prior.updated(straight(X.T @ X / sd**2, X.T @ (y - X @ at) / sd**2, at))
     evidence = []
     for i, h in enumerate(prior.hypotheses):
         P = h.covariance
@@ -45,7 +58,8 @@ def test_constants_update_is_the_exact_mixture_posterior() -> None:
 
 def test_constants_moments_are_those_of_the_mixture() -> None:
     X, y, sd = problem()
-    after = Constants.prior(hypotheses_of(CONSTANTS)).updated(X.T @ X / sd**2, X.T @ y / sd**2, np.zeros(3))
+    said = straight(X.T @ X / sd**2, X.T @ y / sd**2, np.zeros(3))
+    after = Constants.prior(hypotheses_of(CONSTANTS)).updated(said)
     rng = np.random.default_rng(1)
     which = rng.choice(len(after.weight), 200_000, p=after.weight)
     draws = np.empty((len(which), 3))
@@ -64,7 +78,7 @@ def test_constants_that_sharp_windows_ask_for_are_weighed_to_many_digits() -> No
     read = X @ np.array([0.04, -0.03, 0.02])
     at = np.array([0.01, 0.01, 0.0])
     S = X.T @ X / sd**2
-    after = prior.updated(S, X.T @ (read - X @ at) / sd**2, at)
+    after = prior.updated(straight(S, X.T @ (read - X @ at) / sd**2, at))
     log = [
         np.log(w) + multivariate_normal.logpdf(read, X @ m, X @ P @ X.T + sd**2 * np.eye(2))
         for w, m, P in zip(prior.weight, prior.mean, prior.covariance, strict=True)
@@ -87,10 +101,9 @@ def test_constants_switch_and_walk_from_window_to_window() -> None:
 
 def test_constants_refuted_hypothesis_comes_back_with_its_prior() -> None:
     prior = Constants.prior(hypotheses_of(CONSTANTS))
-    told = prior.updated(
-        np.diag([1e8] * 3), np.array([8e6, 0.0, 0.0]), np.zeros(3)
-    )  # m1 8 % off, others right
-    later = told.switched(1.0, *NOTHING)
+    # m1 8 % off, others right
+    told = prior.updated(straight(np.diag([1e8] * 3), np.array([8e6, 0.0, 0.0]), np.zeros(3)))
+    later = switched(told, NOTHING)
     refuted = told.weight < 0.1 * tuning.SWITCH * prior.weight
     static = refuted & ~np.array([h.drifts for h in prior.hypotheses])
     assert static[0]
@@ -104,10 +117,10 @@ def test_constants_refuted_hypothesis_comes_back_with_its_prior() -> None:
 
 def test_constants_gain_that_begins_to_drift_does_so_from_where_it_is_known_to_be() -> None:
     prior = Constants.prior(hypotheses_of(CONSTANTS))
-    told = prior.updated(np.diag([1e8] * 3), np.array([0.0, 0.0, 4e6]), np.zeros(3))  # x1 4 % off
+    told = prior.updated(straight(np.diag([1e8] * 3), np.array([0.0, 0.0, 4e6]), np.zeros(3)))  # x1 4 % off
     none = Constants(told.hypotheses, np.where([h.drifts for h in told.hypotheses], 0, told.weight),
                      told.mean, told.covariance)  # fmt: skip
-    later = none.switched(1.0, *NOTHING)
+    later = switched(none, NOTHING)
     x1 = next(i for i, h in enumerate(prior.hypotheses) if h.drifts and h.name == "x1")
     mean, total = none.standing
     assert later.mean[x1] == pytest.approx([0.0, 0.0, mean[2]])
@@ -122,7 +135,7 @@ def test_constants_that_are_all_off_do_not_slide_to_the_narrowest_data_sheets() 
     S = np.diag([1e8, 1e8, 0.0])  # nothing tells of x1
     sds = []
     for _ in range(40):
-        known = known.switched(1.0, S, S @ apart, np.zeros(3))
+        known = switched(known, straight(S, S @ apart, np.zeros(3)))
         sds.append(np.sqrt(known.total[2, 2]))
     assert min(sds) > 0.9 * sds[0]
 
@@ -133,7 +146,7 @@ def test_constants_that_are_right_stay_as_well_known_as_they_are() -> None:
     S = np.diag([1e6, 1e6, 0.0])  # nothing tells of x1, whose interval is that of the hypotheses that stand
     sds = []
     for _ in range(1000):
-        known = known.switched(1.0, S, np.zeros(3), np.zeros(3))
+        known = switched(known, straight(S, np.zeros(3), np.zeros(3)))
         sds.append(np.sqrt(known.total[2, 2]))
     assert sds[-1] < 1.05 * sds[2]
 
@@ -205,9 +218,8 @@ def test_constants_update_by_information_that_drowns_the_prior_leaves_no_negativ
     known = Constants.prior(hypotheses_of(CONSTANTS))
     direction = rng.standard_normal(3)
     for _ in range(5):
-        known = known.predicted().updated(
-            1e22 * np.outer(direction, direction), 1e12 * direction, np.zeros(3)
-        )
+        said = straight(1e22 * np.outer(direction, direction), 1e12 * direction, np.zeros(3))
+        known = known.predicted().updated(said)
         size = np.einsum("hii->h", known.covariance)
         assert (np.linalg.eigvalsh(known.covariance)[:, 0] > -1e-13 * size).all()
         assert np.isfinite(known.weight).all()
@@ -221,7 +233,7 @@ def test_gain_that_creeps_is_said_to_drift() -> None:
     for window in range(20):
         known = known.predicted()
         found = np.array([0.0, 0.0, 5e-4 * window]) + sd * rng.standard_normal(3)
-        known = known.updated(np.diag(sd**-2.0), found / sd**2, np.zeros(3))
+        known = known.updated(straight(np.diag(sd**-2.0), found / sd**2, np.zeros(3)))
     assert known.drift_probability > 0.9
     assert known.expected[2] == pytest.approx(5e-4 * window, abs=1e-3)
 
@@ -233,7 +245,7 @@ def test_inputs_that_act_in_time_do_not_say_that_masses_and_gains_are_exact() ->
     S = 1e6 * np.outer([1.0, -1.0, 0.0], [1.0, -1.0, 0.0]) + np.diag([0.0, 0.0, 1e5])
     after = found
     for _ in range(40):
-        after = after.switched(1.0, S, S @ np.array([0.025, 0.0, 0.0]), np.zeros(3))
+        after = switched(after, straight(S, S @ np.array([0.025, 0.0, 0.0]), np.zeros(3)))
     within = sum(w for w, h in zip(after.weight, after.hypotheses, strict=True) if not h.members.any())
     assert within > 0.7
 
@@ -242,7 +254,7 @@ def test_what_may_be_off_stands_beside_constants_that_are_within_their_data_shee
     """A mass 18 % off and its only sensor 1.5 %: their one scale is as far off as either alone explains."""
     found = Constants.prior(hypotheses_of((CONSTANTS[0], CONSTANTS[2])))
     S = 1e8 * np.outer([1.0, -1.0], [1.0, -1.0])
-    after = found.updated(S, S @ np.array([0.163, 0.015]), np.zeros(2))
+    after = found.updated(straight(S, S @ np.array([0.163, 0.015]), np.zeros(2)))
     off = np.array([h.name == "m1" for h in after.hypotheses]) & (after.weight >= tuning.STANDING_WEIGHT)
     sds = np.abs(after.mean[off, 1] - 0.015) / np.sqrt(after.covariance[off, 1, 1])
     assert sds.min() < 1.96

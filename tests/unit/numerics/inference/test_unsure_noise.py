@@ -22,7 +22,8 @@ def test_intensities_that_are_not_known_temper_what_a_window_says_of_constants()
         spread = np.zeros_like(known.noise.spread)
         spread[0] = added  # share of every parameter's variance that an intensity leaves open
         unsure = replace(known, noise=replace(known.noise, spread=spread))
-        return np.concatenate([part.ravel() for part in learner._information(at, unsure)[:2]])
+        said = learner._information(at, unsure)
+        return np.concatenate([said.S.ravel(), said.g])
 
     assert np.abs(information(0.0)).max() > 0
     np.testing.assert_allclose(information(2.0), information(0.0) / 3.0)

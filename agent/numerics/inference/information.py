@@ -1,0 +1,153 @@
+"""What one window says of the constants, and hypotheses on them updated by it."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from agent.numerics.inference import tuning
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant, root
+from agent.numerics.inference.tuning import JITTER
+from agent.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What a window says of the constants, straight about one point.
+
+    Attributes:
+        S, g: (c, c) information and (c,) score;  at: (c,) the point.
+        cost: twice the negative log likelihood there; from one point to another only differences count.
+        curved: (r, c) what deviations of the constants do to all that the window is straight in, as shares;
+            tells: (r,) the information on each of these.
+    """
+
+    S: FloatArray
+    g: FloatArray
+    at: FloatArray
+    cost: float
+    curved: FloatArray
+    tells: FloatArray
+
+    def neglected(self, mean: FloatArray) -> FloatArray:
+        """Return how much (h,) the terms of second order are that are neglected at means (h, c).
+
+        In variances: half the square of a share is the size of its term.
+        """
+        return np.asarray((0.5 * ((mean - self.at) @ self.curved.T) ** 2) ** 2 @ self.tells)
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """Hypotheses after what a window says about one point.
+
+    Attributes:
+        left: (h,) squared distance of what it asks for, in variances;  price: (h,) of how wide each was.
+        mean, covariance: (h, c), (h, c, c).
+    """
+
+    left: FloatArray
+    price: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+
+
+class Update:
+    """Hypotheses under a window that is made straight at one or more points.
+
+    Each is updated about the point nearest to where the window puts it: a component of a Gaussian sum is
+    linearised where it stands (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439). About one
+    point for all, what windows ask of constants that none of them tells apart turns with the point, and
+    their sum refutes what each alone allows.
+
+    Args:
+        weight, mean, covariance: (h,), (h, c), (h, c, c) before the window.
+        said: what it says about a first point.
+    """
+
+    def __init__(
+        self, weight: FloatArray, mean: FloatArray, covariance: FloatArray, said: Information
+    ) -> None:
+        self.before = (weight, mean, covariance)
+        self.said: list[Information] = []
+        self._told: list[_Told] = []
+        self._asked = np.zeros(len(weight), dtype=int)
+        self.also(said)
+
+    def also(self, said: Information) -> Self:
+        """Add what the window says about another point."""
+        _, mean, covariance = self.before
+        self.said.append(said)
+        self._told.append(_told(mean, covariance, said))
+        if len(self.said) == 1:
+            self.nearest = np.zeros(len(mean), dtype=int)
+            self.mean = self._told[0].mean
+            self.doubt = said.neglected(self.mean)
+            return self
+        # where it is nearer than the point that a hypothesis had
+        there = said.neglected(self._told[-1].mean)
+        # a point that was made for a hypothesis takes it, though its mean moves farther on from there
+        nearer = np.minimum(said.neglected(self.mean), there) < self.doubt
+        self.nearest = np.where(nearer, len(self.said) - 1, self.nearest)
+        self.mean = np.where(nearer[:, None], self._told[-1].mean, self.mean)
+        self.doubt = np.where(nearer, there, self.doubt)
+        return self
+
+    def _log_weight(self, doubt: FloatArray | float = 0.0) -> FloatArray:
+        """(h,) after the window, which refutes them the less the more is in doubt (h,)."""
+        own = np.arange(len(self.nearest))
+        left = np.array([told.left for told in self._told])[self.nearest, own]
+        price = np.array([told.price for told in self._told])[self.nearest, own]
+        before = np.log(np.maximum(self.before[0], 1e-300))
+        return np.asarray(before - 0.5 * (left / (1.0 + doubt) + price))
+
+    def farthest(self) -> FloatArray | None:
+        """Return where (c,) the window has to be made straight next; None where it is for all that may be.
+
+        A hypothesis whose mean leaves the points that are made for it asks for no third.
+        """
+        far = (self.doubt > tuning.NEAR) & (self._asked < 2)
+        if not far.any() or len(self.said) > tuning.PLACES:
+            return None
+        log = self._log_weight(self.doubt)
+        far &= log > log.max() + np.log(tuning.POSSIBLE)
+        if not far.any():
+            return None
+        place: FloatArray = self.mean[np.argmax(np.where(far, log, -np.inf))]
+        self._asked += (self.mean == place).all(axis=1)
+        return place
+
+    @property
+    def after(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Weights (h,), means (h, c) and covariances (h, c, c) after the window."""
+        log = self._log_weight()
+        weight = np.exp(log - log.max())
+        covariance = np.array([told.covariance for told in self._told])
+        return weight / weight.sum(), self.mean, covariance[self.nearest, np.arange(len(self.nearest))]
+
+
+def _told(mean: FloatArray, covariance: FloatArray, said: Information) -> _Told:
+    # what the window asks for, along the directions of which it says something, of variance 1/values: the
+    # difference of quadratic forms in S that evidence also is has no digits left where S is large
+    S, g = said.S, said.g
+    d = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).max(axis=0))
+    values, vectors = np.linalg.eigh(S * np.outer(d, d))
+    kept = values > JITTER * values.max(initial=0.0)
+    along = vectors[:, kept].T / d
+    score = vectors[:, kept].T @ (d * g)
+    asked = score / values[kept]
+    left = asked - (mean - said.at) @ along.T
+    across = covariance @ along.T
+    spread = along @ across + np.diag(1.0 / values[kept])
+    weighed = np.einsum("hij,hj->hi", inverse(spread), left)
+    least = said.cost - score @ asked + np.log(values[kept]).sum()
+    # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16
+    # times larger
+    F = root(covariance)
+    M = np.eye(len(S)) + F.swapaxes(1, 2) @ S @ F
+    return _Told(
+        (left * weighed).sum(axis=1),
+        least + log_determinant(spread),
+        mean + np.einsum("hij,hj->hi", across, weighed),
+        F @ inverse(M) @ F.swapaxes(1, 2),
+    )

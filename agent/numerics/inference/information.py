@@ -1,6 +1,6 @@
 """What one window says of the constants, and hypotheses on them updated by it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -72,6 +72,7 @@ class Update:
         self.said: list[Information] = []
         self._told: list[_Told] = []
         self._asked = np.zeros(len(weight), dtype=int)
+        self._places = 0
         self.also(said)
 
     def also(self, said: Information) -> Self:
@@ -84,7 +85,6 @@ class Update:
             self.mean = self._told[0].mean
             self.doubt = said.neglected(self.mean)
             return self
-        # where it is nearer than the point that a hypothesis had
         there = said.neglected(self._told[-1].mean)
         # a point that was made for a hypothesis takes it, though its mean moves farther on from there
         nearer = np.minimum(said.neglected(self.mean), there) < self.doubt
@@ -107,14 +107,17 @@ class Update:
         A hypothesis whose mean leaves the points that are made for it asks for no third.
         """
         far = (self.doubt > tuning.NEAR) & (self._asked < 2)
-        if not far.any() or len(self.said) > tuning.PLACES:
+        if not far.any() or self._places >= tuning.PLACES:
             return None
-        log = self._log_weight(self.doubt)
-        far &= log > log.max() + np.log(tuning.POSSIBLE)
+        log = self._log_weight()
+        far &= self._log_weight(self.doubt) > log.max() + np.log(tuning.POSSIBLE)
         if not far.any():
             return None
-        place: FloatArray = self.mean[np.argmax(np.where(far, log, -np.inf))]
-        self._asked += (self.mean == place).all(axis=1)
+        next_one = int(np.argmax(np.where(far, log, -np.inf)))
+        place: FloatArray = self.mean[next_one]
+        there = replace(self.said[self.nearest[next_one]], at=place)
+        self._asked += there.neglected(self.mean) <= tuning.NEAR
+        self._places += 1
         return place
 
     @property

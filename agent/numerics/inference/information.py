@@ -38,7 +38,7 @@ class Information:
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _Components:
     """Hypotheses after what a window says about one point.
 
     Attributes:
@@ -70,7 +70,7 @@ class Update:
     ) -> None:
         self.before = (weight, mean, covariance)
         self.said: list[Information] = []
-        self._told: list[_Told] = []
+        self._components: list[_Components] = []
         self._asked = np.zeros(len(weight), dtype=int)
         self._places = 0
         self.also(said)
@@ -79,25 +79,25 @@ class Update:
         """Add what the window says about another point."""
         _, mean, covariance = self.before
         self.said.append(said)
-        self._told.append(_told(mean, covariance, said))
+        self._components.append(_update_about(mean, covariance, said))
         if len(self.said) == 1:
             self.nearest = np.zeros(len(mean), dtype=int)
-            self.mean = self._told[0].mean
+            self.mean = self._components[0].mean
             self.doubt = said.neglected(self.mean)
             return self
-        there = said.neglected(self._told[-1].mean)
+        there = said.neglected(self._components[-1].mean)
         # a point that was made for a hypothesis takes it, though its mean moves farther on from there
         nearer = np.minimum(said.neglected(self.mean), there) < self.doubt
         self.nearest = np.where(nearer, len(self.said) - 1, self.nearest)
-        self.mean = np.where(nearer[:, None], self._told[-1].mean, self.mean)
+        self.mean = np.where(nearer[:, None], self._components[-1].mean, self.mean)
         self.doubt = np.where(nearer, there, self.doubt)
         return self
 
     def _log_weight(self, doubt: FloatArray | float = 0.0) -> FloatArray:
         """(h,) after the window, which refutes them the less the more is in doubt (h,)."""
         own = np.arange(len(self.nearest))
-        left = np.array([told.left for told in self._told])[self.nearest, own]
-        price = np.array([told.price for told in self._told])[self.nearest, own]
+        left = np.array([one.left for one in self._components])[self.nearest, own]
+        price = np.array([one.price for one in self._components])[self.nearest, own]
         before = np.log(np.maximum(self.before[0], 1e-300))
         return np.asarray(before - 0.5 * (left / (1.0 + doubt) + price))
 
@@ -125,11 +125,11 @@ class Update:
         """Weights (h,), means (h, c) and covariances (h, c, c) after the window."""
         log = self._log_weight()
         weight = np.exp(log - log.max())
-        covariance = np.array([told.covariance for told in self._told])
+        covariance = np.array([one.covariance for one in self._components])
         return weight / weight.sum(), self.mean, covariance[self.nearest, np.arange(len(self.nearest))]
 
 
-def _told(mean: FloatArray, covariance: FloatArray, said: Information) -> _Told:
+def _update_about(mean: FloatArray, covariance: FloatArray, said: Information) -> _Components:
     # what the window asks for, along the directions of which it says something, of variance 1/values: the
     # difference of quadratic forms in S that evidence also is has no digits left where S is large
     S, g = said.S, said.g
@@ -148,7 +148,7 @@ def _told(mean: FloatArray, covariance: FloatArray, said: Information) -> _Told:
     # times larger
     F = root(covariance)
     M = np.eye(len(S)) + F.swapaxes(1, 2) @ S @ F
-    return _Told(
+    return _Components(
         (left * weighed).sum(axis=1),
         least + log_determinant(spread),
         mean + np.einsum("hij,hj->hi", across, weighed),

@@ -2,6 +2,8 @@
 
 The constants enter rows whole: with P = L Lᵀ their covariance each column of L is a direction of unit prior.
 One that moves no parameter in the window learnt from may move all of them in the next, of other excitation.
+Scales that no window can ever show (`model.scales`) need no column: L is turned so that they stand apart, and
+what they do to the parameters is theirs by the prior in every row.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +17,7 @@ from agent.numerics.inference.noise.rounding import Rounding
 from agent.numerics.inference.posterior import Knowledge, Posterior, neglected, shifted
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
+from agent.numerics.model.scales import combined, scales_of
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import (
     CURVED,
@@ -55,6 +58,7 @@ class OperatingPoint:
             priors, the parameters moved along as the constants move them: what no window shows is zero then,
             and no difference of large numbers.
         along: (q, r) by how much each direction moves the parameters along.
+        unseen: (q,) variance of the parameters by scales that no reading shows, in squares of `unit`.
         push, noise: unknown forces and noise of the bank.
         theta, unit: (q,) point and size of a deviation of 1;  sharpest: (q,) sd of the windows that tell
             most, in it.
@@ -70,6 +74,7 @@ class OperatingPoint:
 
     model: StateSpace
     along: FloatArray
+    unseen: FloatArray
     push: Push
     noise: NoiseModel
     theta: FloatArray
@@ -110,16 +115,19 @@ def operating_point(
     columns = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q)]
     constants = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q, len(at.dA))]
     constants += [seen.sensor(i, base) for i in range(rig.masses, len(rig.constants))]
-    directions = _directions(rig, known)
+    kinds = [c.kind if c.sheet > 0 else "exact" for c in rig.constants]
+    scales = scales_of(base, columns, constants, kinds)
+    directions, turn = _directions(rig, known, scales.constants)
     along = sensitivity @ directions / at.unit[:, None]
     both = np.concatenate([along, directions])
-    columns += [_combined([*columns, *constants], direction) for direction in both.T]
+    columns += [combined([*columns, *constants], direction) for direction in both.T]
     dA, dB, dC, dD = (np.stack(part) for part in zip(*columns, strict=True))
     model = StateSpace(*base, dA, dB, dC, dD)
     push = Push(at.E, seen.output_gain[:, None] * at.F)
     learnt = bank_noise(known, sources, window, len(rig.pushed))
+    unseen = ((scales.parameters @ turn) ** 2).sum(axis=1)
     return OperatingPoint(
-        model, along, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
+        model, along, unseen, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
         noise.unsure, max(1.0, float(known.scatter.within.max())), posterior.slide, posterior.slid,
         noise.rounding,
         at.late is not None,
@@ -179,19 +187,19 @@ class _Seen:
         return dA, dB, dC, dD
 
 
-def _combined(
-    constants: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]], direction: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    parts = zip(*constants, strict=True)
-    return tuple(np.tensordot(direction, np.stack(part), 1) for part in parts)  # type: ignore[return-value]
+def _directions(rig: Rig, known: Knowledge, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return combinations (c, r) of the constants, of unit prior each, beside those that no reading shows.
 
-
-def _directions(rig: Rig, known: Knowledge) -> FloatArray:
-    """(c, r) combinations of the constants, of unit prior each; none of those that are known exactly."""
+    None of those that are known exactly. scales (c, k): what no reading shows; times the second return value
+    (k, k) these have unit priors too.
+    """
     is_open = np.array([constant.sheet > 0 for constant in rig.constants], dtype=bool)
-    directions = np.zeros((len(is_open), np.count_nonzero(is_open)))
-    directions[is_open] = _root(known.constants.standing[1][np.ix_(is_open, is_open)])
-    return directions
+    root = _root(known.constants.standing[1][np.ix_(is_open, is_open)])
+    count = scales.shape[1]
+    turned, turn = np.linalg.qr(np.linalg.solve(root, scales[is_open]), mode="complete")
+    directions = np.zeros((len(is_open), len(root) - count))
+    directions[is_open] = root @ turned[:, count:]
+    return directions, np.linalg.inv(turn[:count])
 
 
 def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray, unit: FloatArray) -> Shape:
@@ -206,7 +214,7 @@ def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray, unit: Flo
     moved = np.vstack([constants.mean, mean]) - known.eta
     *each, linear = shifted(known.theta, moved @ sensitivity.T)
     means = np.array(each)
-    variance = np.einsum("ia,hab,ib->hi", sensitivity, constants.covariance, sensitivity, optimize=True)
+    variance = ((sensitivity @ constants.covariance) * sensitivity).sum(axis=2)
     variance = np.maximum(variance, 0.0) + neglected(means - linear, unit) ** 2
     lower, upper = interval95(constants.weight, means, np.sqrt(own**2 + variance))
     apart = 0.5 * np.ptp(means[constants.stands], axis=0)

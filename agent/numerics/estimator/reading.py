@@ -75,7 +75,7 @@ def read(
     beyond which a window is linearised too far away.
     """
     q = len(point.theta)
-    d, covariance, own, by_constants = solved(windowed.normal, point.along)
+    d, covariance, own, by_constants = solved(windowed.normal, point.along, point.unseen)
     # sums of each row by itself: a product of all rows has other last bits where they come otherwise
     moved = d[:, :q] + (d[:, None, q:] * point.along).sum(axis=2)
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
@@ -119,10 +119,13 @@ def read(
     )  # fmt: skip
 
 
-def solved(normal: Normal, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def solved(
+    normal: Normal, along: FloatArray, unseen: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Deviations (N, q+c), their covariance, and variance and sd (N, q) of θ by readings and by constants.
 
-    along: (q, c) by how much constants of unit prior move the parameters beside what their columns do. The
+    along: (q, c) by how much constants of unit prior move the parameters beside what their columns do;
+    unseen: (q,) variance by those that have no column. The
     parameters are eliminated first: by how much constants that no window shows move them is then no small
     difference of numbers that grow with the readings' precision.
     """
@@ -143,7 +146,7 @@ def solved(normal: Normal, along: FloatArray) -> tuple[FloatArray, FloatArray, F
     covariance[:, q:, q:] = constants
     d = np.concatenate([alone + np.einsum("nij,nj->ni", moved, found), found], axis=1)
     whole = moved + along
-    variance = ((whole @ constants) * whole).sum(axis=2)
+    variance = ((whole @ constants) * whole).sum(axis=2) + unseen
     return d, covariance, np.diagonal(given, axis1=1, axis2=2), np.sqrt(np.maximum(variance, 0.0))
 
 

@@ -280,11 +280,10 @@ class Constants:
 
         A Gaussian about both would let all constants go.
         """
-        weight, mean, covariance = update.after
         count = len(self.hypotheses)
-        both = weight.reshape(2, count)
+        both = update.weight.reshape(2, count)
         way = np.arange(count) + count * (both[1] > both[0])
-        return Constants(self.hypotheses, both.sum(axis=0), mean[way], covariance[way])
+        return Constants(self.hypotheses, both.sum(axis=0), update.mean[way], update.covariance(way))
 
     @property
     def _begun(self) -> "Constants":
@@ -304,9 +303,9 @@ class Constants:
 
     def updated(self, said: Information) -> "Constants":
         """Return what is known after a window that is straight about one point."""
-        return Constants(
-            self.hypotheses, *Update(self.weight, self.mean, self.covariance, said).after
-        )
+        update = Update(self.weight, self.mean, self.covariance, said)
+        every = np.arange(len(self.hypotheses))
+        return Constants(self.hypotheses, update.weight, update.mean, update.covariance(every))
 
     @property
     def drift_probability(self) -> float:

@@ -44,18 +44,29 @@ def column(
     return np.asarray(np.sum(pushes, axis=0) * output_gain)
 
 
-def friction(
+def frictions(
     gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: float, misfit: float
-) -> Friction:
-    """Weigh the last column but one of a Gram (base + 2, base + 2), residual last; R, b: the base's prior."""
+) -> list[Friction]:
+    """Weigh columns, one of them at a time, that stand in a Gram after the base, residual last.
+
+    R, b: the base's prior.
+    """
     nb = len(R)
-    V = inverse(gram[:nb, :nb] + R)
-    along = V @ gram[:nb, nb]
-    left = gram[nb, nb] - gram[:nb, nb] @ along
-    if left <= UNSEEN * gram[nb, nb]:  # the columns of the model say all that this one does
-        return Friction(-np.inf, 0.0, np.zeros_like(along[psi]))
-    g = gram[nb, -1] - along @ (gram[:nb, -1] + b)
-    size = g / left
-    evidence = 0.5 * g * size / misfit - 0.5 * np.log(dof)
+    more = slice(nb, -1)
+    own = gram.diagonal()[more]
+    along = inverse(gram[:nb, :nb] + R) @ gram[:nb, more]
+    left = own - (gram[:nb, more] * along).sum(axis=0)
+    score = gram[more, -1] - (gram[:nb, -1] + b) @ along
+    nothing = Friction(-np.inf, 0.0, np.zeros(psi.stop - psi.start))
+    return [
+        # the columns of the model may say all that one does
+        _friction(score[i], left[i], -along[psi, i], dof, misfit) if left[i] > UNSEEN * own[i] else nothing
+        for i in range(len(own))
+    ]
+
+
+def _friction(score: float, left: float, shift: FloatArray, dof: float, misfit: float) -> Friction:
+    size = score / left
+    evidence = 0.5 * score * size / misfit - 0.5 * np.log(dof)
     # friction that drives is none
-    return Friction(float(evidence if size > 0 else -np.inf), float(size), np.asarray(-along[psi] * size))
+    return Friction(float(evidence if size > 0 else -np.inf), float(size), np.asarray(shift * size))

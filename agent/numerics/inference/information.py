@@ -6,9 +6,9 @@ from typing import Self
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.spectral.algebra import inverse, log_determinant, root
+from agent.numerics.inference.spectral.algebra import inverse_root, root
 from agent.numerics.inference.tuning import JITTER
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +43,12 @@ class _Components:
 
     Attributes:
         left: (h,) squared distance of what it asks for, in variances;  price: (h,) of how wide each was.
-        mean, covariance: (h, c), (h, c, c).
+        mean: (h, c).
     """
 
     left: FloatArray
     price: FloatArray
     mean: FloatArray
-    covariance: FloatArray
 
 
 class Update:
@@ -121,12 +120,21 @@ class Update:
         return place
 
     @property
-    def after(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Weights (h,), means (h, c) and covariances (h, c, c) after the window."""
+    def weight(self) -> FloatArray:
+        """(h,) after the window."""
         log = self._log_weight()
         weight = np.exp(log - log.max())
-        covariance = np.array([one.covariance for one in self._components])
-        return weight / weight.sum(), self.mean, covariance[self.nearest, np.arange(len(self.nearest))]
+        return np.asarray(weight / weight.sum())
+
+    def covariance(self, which: IntArray) -> FloatArray:
+        """Return the covariances (n, c, c) of some hypotheses after the window."""
+        S = np.array([said.S for said in self.said])[self.nearest[which]]
+        # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16
+        # times larger
+        F = root(self.before[2][which])
+        M = np.eye(S.shape[-1]) + F.swapaxes(1, 2) @ S @ F
+        half = inverse_root(M) @ F.swapaxes(1, 2)
+        return np.asarray(half.swapaxes(1, 2) @ half)
 
 
 def _update_about(mean: FloatArray, covariance: FloatArray, said: Information) -> _Components:
@@ -141,16 +149,11 @@ def _update_about(mean: FloatArray, covariance: FloatArray, said: Information) -
     asked = score / values[kept]
     left = asked - (mean - said.at) @ along.T
     across = covariance @ along.T
-    spread = along @ across + np.diag(1.0 / values[kept])
-    weighed = np.einsum("hij,hj->hi", inverse(spread), left)
+    half = inverse_root(along @ across + np.diag(1.0 / values[kept]))
+    whitened = (half @ left[..., None])[..., 0]
     least = said.cost - score @ asked + np.log(values[kept]).sum()
-    # in units of the prior every eigenvalue is 1 or more: no precision is lost to an information 1e16
-    # times larger
-    F = root(covariance)
-    M = np.eye(len(S)) + F.swapaxes(1, 2) @ S @ F
     return _Components(
-        (left * weighed).sum(axis=1),
-        least + log_determinant(spread),
-        mean + np.einsum("hij,hj->hi", across, weighed),
-        F @ inverse(M) @ F.swapaxes(1, 2),
+        (whitened**2).sum(axis=1),
+        least - 2 * np.linalg.slogdet(half)[1],
+        mean + (across @ (half.swapaxes(1, 2) @ whitened[..., None]))[..., 0],
     )

@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants, apart_of, hypotheses_of
-from agent.numerics.inference.friction import column, friction
+from agent.numerics.inference.friction import column, frictions
 from agent.numerics.inference.information import Information, Update
 from agent.numerics.inference.linearise import Linearised, Lineariser
 from agent.numerics.inference.mixture import NORMAL_975, interval95
@@ -139,8 +139,8 @@ class Learner:
             predicted = replace(predicted, eta=constants.expected, theta=at.theta)
             there = replace(predicted, constants=constants, noise=led)
             at = self.lineariser.linearised(window, there, jumps=False)
-        self._spread_out(window, settled, predicted, update)
-        constants = known.constants.switched(update)
+        if self._spread_out(window, settled, predicted, update):
+            constants = known.constants.switched(update)
         here = _estimate(settled, predicted.eta).at(constants.expected)
         scatter = known.scatter.after(self._ratio(settled) / settled.inflation, here)
         rounding = self.lineariser.rounding_after(settled, noise, before)
@@ -177,19 +177,20 @@ class Learner:
 
     def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:
         """Whether dry friction across a damper is evident and would move an estimate by more than its sd."""
-        layout = at.regression.layout
-        gain = Regressor(self.rig, at.cells.response, self.sources, known.eta).output_gain
+        if not self.rig.rubbings:
+            return False
+        layout, response = at.regression.layout, at.cells.response
+        gain = Regressor(self.rig, response, self.sources, known.eta).output_gain
+        more = [column(response, at.regression.states, rubbing, gain) for rubbing in self.rig.rubbings]
+        base = at.regression.X[..., : layout.base]
+        X = np.concatenate([base, np.stack(more, axis=2), at.regression.X[..., -1:]], axis=2)
         misfit = max(1.0, float(known.scatter.within.max()))
-        for rubbing in self.rig.rubbings:
-            more = column(at.cells.response, at.regression.states, rubbing, gain)[..., None]
-            X = np.concatenate([at.regression.X[..., : layout.base], more, at.regression.X[..., -1:]], axis=2)
-            found = friction(
-                at.cells.gram(at.Si, X), at.ridge.R, at.ridge.b, layout.psi, posterior.dof, misfit
-            )
-            moved = np.abs(at.unit * found.shift) > posterior.sd
-            if found.evidence > tuning.FRICTION_EVIDENCE and moved.any():
-                return True
-        return False
+        gram = at.cells.gram(at.Si, X)
+        found = frictions(gram, at.ridge.R, at.ridge.b, layout.psi, posterior.dof, misfit)
+        return any(
+            one.evidence > tuning.FRICTION_EVIDENCE and np.any(np.abs(at.unit * one.shift) > posterior.sd)
+            for one in found
+        )
 
     def _noise_after(
         self, window: Window, at: Linearised, known: Knowledge, shaken: bool, anew: bool
@@ -325,8 +326,11 @@ class Learner:
         unsure = np.maximum(1 + known.noise.spread.sum(axis=0), 1.0)
         return float(max(at.repeats, at.inflation * float(np.mean(known.scatter.factor * unsure))))
 
-    def _spread_out(self, window: Window, at: Linearised, known: Knowledge, update: Update) -> None:
-        """Make a window straight wherever hypotheses stand that are possible and far from where it is."""
+    def _spread_out(self, window: Window, at: Linearised, known: Knowledge, update: Update) -> bool:
+        """Make a window straight wherever hypotheses stand that are possible and far from where it is.
+
+        Return whether it is anywhere else now.
+        """
         temper = self._temper(at, known)
         points = [at]
         while (place := update.farthest()) is not None:
@@ -336,6 +340,7 @@ class Learner:
             if there is not None:
                 points.append(there)
                 update.also(self._said(there, place, temper))
+        return len(points) > 1
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
         """Marginal posterior of the parameters over the hypotheses on the constants."""
@@ -347,7 +352,7 @@ class Learner:
         here = at.theta + u * alone
         means = shifted(here, u * ((after.mean - known.eta) @ -Z.T))
         # a square: what is below 0 is rounding
-        unsure = np.maximum(np.einsum("ia,hab,ib->hi", Z, after.covariance, Z, optimize=True), 0.0)
+        unsure = np.maximum(((Z @ after.covariance) * Z).sum(axis=2), 0.0)
         variance = u**2 * (own + unsure) + neglected(means - here, u) ** 2
         mean = after.weight @ means
         # not knowing the intensities, and scatter beyond the model's, widen what the data say

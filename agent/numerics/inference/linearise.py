@@ -1,5 +1,6 @@
 """A window linearised about parameters and constants: Gauss-Newton, its columns' prior, the bins kept."""
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -417,11 +418,13 @@ class Lineariser:
         priors = self._priors(at, window)
         grams = self._running(at, ladder)
         most = (1 + tuning.INFORMATION_LOSS) * _sd_of(layout, grams[-1], priors)
-        rungs = zip(ladder.tolist(), grams, strict=True)
-        enough = (
-            kept for kept, gram in rungs if kept > least and np.all(_sd_of(layout, gram, priors) < most)
-        )
-        best = next(enough, top)
+
+        def is_enough(rung: int) -> bool:
+            return bool(ladder[rung] > least and np.all(_sd_of(layout, grams[rung], priors) < most))
+
+        # a bin more never widens an interval
+        rung = bisect_left(range(len(ladder)), True, key=is_enough)
+        best = int(ladder[min(rung, len(ladder) - 1)])
         return total if best > 0.8 * total else best
 
     def _running(self, at: Linearised, ladder: IntArray) -> list[FloatArray]:
@@ -438,23 +441,21 @@ class Lineariser:
             start = int(stop)
         return out
 
-    def _priors(self, at: Linearised, window: Window) -> list[FloatArray]:
+    def _priors(self, at: Linearised, window: Window) -> FloatArray:
         """Prior precisions of the base columns with constants as good as given, then at their data sheet."""
         sheet = np.array([max(c.sheet, 1e-6) for c in self.rig.constants])
         none = np.full(len(self.sources), 1e-150)
         spreads = [np.diag((share * sheet) ** 2) for share in (0.1 * tuning.AS_CONFIGURED, 1.0)]
-        return [self.ridge(at.regression.layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
+        ridges = [self.ridge(at.regression.layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
+        return np.array(ridges)
 
 
-def _sd_of(layout: Layout, gram: FloatArray, priors: list[FloatArray]) -> FloatArray:
-    """Sds of the parameters under each prior precision of the base columns."""
-    out = []
-    for R in priors:
-        M = gram + R
-        d = scales(M)
-        V = np.linalg.pinv(M * np.outer(d, d), rcond=1e-14, hermitian=True)
-        out.append(np.sqrt(np.abs(np.diag(V))[layout.psi]) * d[layout.psi])
-    return np.concatenate(out)
+def _sd_of(layout: Layout, gram: FloatArray, priors: FloatArray) -> FloatArray:
+    """Sds (r, q) of the parameters under each prior precision (r, base, base) of the base columns."""
+    M = gram + priors
+    d = scales(M)
+    V = np.linalg.pinv(M * d[:, :, None] * d[:, None, :], rcond=1e-14, hermitian=True)
+    return np.asarray(np.sqrt(np.abs(V.diagonal(axis1=1, axis2=2))[:, layout.psi]) * d[:, layout.psi])
 
 
 def _rounded(at: Linearised, window: Window, rounding: Rounding, cuts: IntArray) -> Linearised:

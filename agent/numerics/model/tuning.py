@@ -15,6 +15,8 @@ SETTLED = 1e-14  # relative change of the covariance at which it has settled
 LOOKS = 6  # doublings over which the readings show the states: 64 samples
 UNSHOWN = 1e-12  # of the best: a correlated predictor's state that readings show no better is not shown
 REMEMBERED = 1e-7  # a predictor with a pole nearer to the unit circle never forgets its start
+# scales.py
+SAME = 1e-9  # of what cancels: two derivatives that differ by less are the same but for round-off
 # statespace.py
 BLOCK = 32  # samples that are simulated by one product
 GONE = 1e-12  # a pole in discrete time of less than this leaves nothing of a motion after a sample

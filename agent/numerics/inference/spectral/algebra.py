@@ -3,6 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from agent.numerics.inference.tuning import JITTER
 from agent.types import FloatArray
@@ -21,19 +22,32 @@ def scales(M: FloatArray) -> FloatArray:
 
 
 def inverse(M: FloatArray) -> FloatArray:
-    """Return the inverse of symmetric positive M (..., k, k): a square, so its diagonal is never negative.
+    """Return the inverse of symmetric positive M (..., k, k): a square, so its diagonal is never negative."""
+    half = inverse_root(M)
+    return np.asarray(half.swapaxes(-1, -2) @ half)
+
+
+def inverse_root(M: FloatArray) -> FloatArray:
+    """Return H (..., k, k) with Hᵀ H = M⁻¹ of symmetric positive M (..., k, k).
 
     Where rounding left M indefinite, eigenvalues below the jitter are raised to it.
     """
     d = scales(M)
     scaled = M * d[..., :, None] * d[..., None, :] + _jitter(M.shape[-1])
+    return np.asarray(_inverse_root(scaled) * d[..., None, :])
+
+
+def _inverse_root(M: FloatArray) -> FloatArray:
+    if M.ndim == 2 and len(M):
+        # LAPACK at once: numpy's way there takes longer than matrices so small do
+        factor, failed = dpotrf(M, lower=1, clean=1)
+        if not failed:
+            return np.asarray(dtrtri(factor, lower=1)[0])
     try:
-        half = np.linalg.inv(np.linalg.cholesky(scaled))
+        return np.linalg.inv(np.linalg.cholesky(M))
     except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(scaled)
-        half = vectors.swapaxes(-1, -2) / np.sqrt(np.maximum(values, JITTER))[..., :, None]
-    half = half * d[..., None, :]
-    return np.asarray(half.swapaxes(-1, -2) @ half)
+        values, vectors = np.linalg.eigh(M)
+        return np.asarray(vectors.swapaxes(-1, -2) / np.sqrt(np.maximum(values, JITTER))[..., :, None])
 
 
 def root(P: FloatArray) -> FloatArray:

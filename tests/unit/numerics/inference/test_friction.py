@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.numerics.inference.friction import friction
+from agent.numerics.inference.friction import frictions
 
 SIZE = 0.7
 
@@ -20,7 +20,7 @@ def gram_of(rng: np.random.Generator, more: np.ndarray | None, size: float) -> t
 
 def test_friction_is_the_least_squares_size_of_its_column(rng: np.random.Generator) -> None:
     gram, X = gram_of(rng, None, SIZE)
-    found = friction(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
+    (found,) = frictions(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
     wanted, (with_it,) = np.linalg.lstsq(X[:, :4], X[:, 4], rcond=None)[:2]
     alone, (without,) = np.linalg.lstsq(X[:, :3], X[:, 4], rcond=None)[:2]
     assert found.size == pytest.approx(wanted[3])
@@ -30,7 +30,8 @@ def test_friction_is_the_least_squares_size_of_its_column(rng: np.random.Generat
 
 def test_friction_that_drives_is_none(rng: np.random.Generator) -> None:
     gram, _ = gram_of(rng, None, -SIZE)
-    assert friction(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0).evidence == -np.inf
+    (found,) = frictions(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
+    assert found.evidence == -np.inf
 
 
 @pytest.mark.parametrize("more", [np.array([1.0, 1.0, -3.0]), np.zeros(3)])
@@ -39,6 +40,6 @@ def test_friction_column_that_the_model_has_already_is_no_evidence(
 ) -> None:
     for _ in range(20):  # what rounding leaves of it has either sign
         gram, _ = gram_of(rng, more, SIZE)
-        found = friction(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
+        (found,) = frictions(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
         assert found.evidence == -np.inf
         assert found.size == 0

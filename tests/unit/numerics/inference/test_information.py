@@ -44,7 +44,7 @@ def told(places: int, rng: np.random.Generator) -> np.ndarray:
         for _ in range(places):
             if (place := update.farthest()) is not None:
                 update.also(seen(place, noise))
-        known = update.after
+        known = update.weight, update.mean, update.covariance(np.arange(2))
     return known[0]
 
 
@@ -58,7 +58,7 @@ def test_hypotheses_are_updated_where_they_stand() -> None:
     linear = update.mean.copy()
     while (place := update.farthest()) is not None:
         update.also(seen(place))
-    _, mean, _ = update.after
+    mean = update.mean
     assert mean[1] == pytest.approx(TRUTH, abs=1e-4)
     assert curve(mean[0]) == pytest.approx(curve(TRUTH), abs=1e-4)
     assert abs(curve(linear[0]) - curve(TRUTH)) > 3 * SD
@@ -91,7 +91,7 @@ def test_point_that_was_made_for_a_hypothesis_takes_it_though_its_mean_moves_on(
     assert place is not None
     update.also(Information(S, S @ np.array([0.3]), place, 0.0, np.eye(1), tells))
     assert update.nearest.tolist() == [1]
-    assert update.after[1][0] == pytest.approx([0.5], rel=1e-3)
+    assert update.mean[0] == pytest.approx([0.5], rel=1e-3)
 
 
 def test_unlikely_hypotheses_cost_no_further_point() -> None:

@@ -10,6 +10,7 @@ UNITS_WAIT = 320  # hops that wait until the window before them was learnt from:
 DULLED = 1.05  # growth of the sharpest sd with each move of the operating point, which follows the machine
 # doubts.py
 CONFIRMED_SD = 4.0  # sds within which the motion must find a suspect reading to confirm it
+CONFIRMED_SHARE = 0.25  # ... or share of it: a half sine of four samples differs by 5 %, of two by 20
 # explainer.py
 VERDICT_WINDOWS = 3  # learnt from before verdicts, first or anew: they tell of noise and constants at once
 REFILLS = 2  # times that suspect inputs are put where the motion asks for them before a window is solved

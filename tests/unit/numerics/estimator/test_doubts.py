@@ -39,6 +39,18 @@ def test_a_blow_of_two_readings_is_confirmed_by_their_sum(likely: tuple[float, f
     assert doubts.first_due(1000) is None
 
 
+@pytest.mark.parametrize(("share", "is_confirmed"), [(0.9, True), (1.2, True), (0.6, False), (1.4, False)])
+def test_a_blow_that_is_not_straight_between_its_readings_is_confirmed_all_the_same(
+    share: float, is_confirmed: bool
+) -> None:
+    """A half sine of a few samples: the motion tells its impulse to a per cent."""
+    doubts = suspected()
+    said = found((share * SIZES[0], share * SIZES[1]))
+    assert abs(share - 1) > 4 * said.share({(104, 2): SIZES[0], (105, 2): SIZES[1]})[1]
+    refused, confirmed = doubts.decide(doubts.due(354, 1000), said)
+    assert (refused == 0) == bool(confirmed) == is_confirmed
+
+
 def test_a_spike_of_two_readings_is_refused_once() -> None:
     doubts = suspected()
     assert doubts.decide(doubts.due(354, 1000), found((20.0, -20.0))) == (2, {})

@@ -6,7 +6,7 @@ window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automa
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -22,7 +22,7 @@ GROUPS: tuple[tuple[Kind, str], ...] = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
     """One belief about the constants.
 
@@ -195,6 +195,26 @@ def _comes_along(constant: Constant) -> bool:
     return constant.is_binary and not constant.apart
 
 
+@dataclass(frozen=True, slots=True)
+class _Arrays:
+    """Hypotheses as arrays: prior weight (h,), covariance, walk (h, c, c), members of what drifts (h, c)."""
+
+    weight: FloatArray
+    covariance: FloatArray
+    walk: FloatArray
+    drifting: FloatArray
+
+
+@lru_cache(maxsize=128)
+def _arrays(hypotheses: tuple[Hypothesis, ...]) -> _Arrays:
+    """Return hypotheses as arrays, those of each rig made once."""
+    weight = np.array([h.prior for h in hypotheses])
+    return _Arrays(
+        weight / weight.sum(), np.array([h.covariance for h in hypotheses]),
+        np.array([h.walk for h in hypotheses]), np.array([h.drifts * h.members for h in hypotheses]),
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Constants:
     """The Gaussian sum.
@@ -212,9 +232,8 @@ class Constants:
     @classmethod
     def prior(cls, hypotheses: tuple[Hypothesis, ...]) -> "Constants":
         """Return what is known before the first window."""
-        weight = np.array([h.prior for h in hypotheses])
-        covariance = np.array([h.covariance for h in hypotheses])
-        return cls(hypotheses, weight / weight.sum(), np.zeros(covariance.shape[:2]), covariance)
+        first = _arrays(hypotheses)
+        return cls(hypotheses, first.weight, np.zeros(first.covariance.shape[:2]), first.covariance)
 
     @cached_property
     def expected(self) -> FloatArray:
@@ -250,8 +269,7 @@ class Constants:
 
     def after(self, windows: float) -> "Constants":
         """Return what is known so many windows later where no hypothesis switches."""
-        walk = np.array([h.walk for h in self.hypotheses])
-        return replace(self, covariance=self.covariance + windows * walk)
+        return replace(self, covariance=self.covariance + windows * _arrays(self.hypotheses).walk)
 
     def predicted(self, windows: float = 1.0) -> "Constants":
         """Return what is known so many windows later: constants walk, hypotheses switch."""
@@ -295,7 +313,7 @@ class Constants:
         """
         first = Constants.prior(self.hypotheses)
         mean, total = self.standing
-        drifting = np.array([h.drifts * h.members for h in self.hypotheses])
+        drifting = _arrays(self.hypotheses).drifting
         share = drifting / np.maximum(drifting.sum(axis=1), 1.0)[:, None]
         variance = np.einsum("hi,ij,hj->h", share, total, share) - tuning.OFF_RELATIVE**2
         moved = variance[:, None, None] * drifting[:, :, None] * drifting[:, None, :]

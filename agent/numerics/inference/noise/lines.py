@@ -29,22 +29,32 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
     level = noise.levels[bin_of]
     columns = slice(regression.layout.psi.start, regression.layout.base)  # parameters and constants
     for channel in range(power.shape[1]):
-        shapes = np.column_stack([
-            regression.driven[:, channel], np.abs(cells.D[cell_of, channel]) ** 2,
-            np.abs(regression.X[np.minimum(cell_of, bins.kept - 1), channel, columns]) ** 2,
-        ])  # fmt: skip
-        shapes = shapes[:, (shapes > 0).all(axis=0)]
-        for _ in range(LEAKAGE_ROUNDS):
-            found = _standing_out(power[:, channel] / level[:, channel], bin_of, power[:, channel], shapes)
-            if not len(found[0]):
-                break
-            level[found[0], channel] *= found[1]
-        level[:, channel] = np.maximum(
-            level[:, channel], _leakage(level[:, channel], power[:, channel], bin_of, noise.shows_colours)
-        )
+        own = power[:, channel]
+        if len(_loud(own / level[:, channel], bin_of)):
+            shapes = np.column_stack([
+                regression.driven[:, channel], np.abs(cells.D[cell_of, channel]) ** 2,
+                np.abs(regression.X[np.minimum(cell_of, bins.kept - 1), channel, columns]) ** 2,
+            ])  # fmt: skip
+            _raise(level[:, channel], own, bin_of, shapes[:, (shapes > 0).all(axis=0)])
+        leakage = _leakage(level[:, channel], own, bin_of, noise.shows_colours)
+        level[:, channel] = np.maximum(level[:, channel], leakage)
     raised = noise.power.copy()
     raised[bin_of] = noise.dof[bin_of] * level
     return replace(noise, power=raised)
+
+
+def _loud(above: FloatArray, bin_of: IntArray) -> IntArray:
+    """Return places of what may be lines; above (b,): power in units of what is known."""
+    return np.flatnonzero((above > tuning.LINE_POWER) & (bin_of >= tuning.LINE_CYCLES))
+
+
+def _raise(level: FloatArray, power: FloatArray, bin_of: IntArray, shapes: FloatArray) -> None:
+    """Raise levels (b,) to the lines' power, those that leak into others first."""
+    for _ in range(LEAKAGE_ROUNDS):
+        places, sizes = _standing_out(power / level, bin_of, power, shapes)
+        if not len(places):
+            break
+        level[places] *= sizes
 
 
 def _standing_out(
@@ -58,7 +68,7 @@ def _standing_out(
     places: list[int] = []
     sizes: list[float] = []
     relative = power[:, None] / shapes
-    for k in np.flatnonzero((above > tuning.LINE_POWER) & (bin_of >= tuning.LINE_CYCLES)).tolist():
+    for k in _loud(above, bin_of).tolist():
         about = slice(max(0, k - tuning.LINE_NEIGHBOURS), k + tuning.LINE_NEIGHBOURS + 1)
         usual = max(float(np.median(above[about])) / MEDIAN, 1.0)
         peaks = relative[k] > tuning.LINE_POWER * np.median(relative[about], axis=0) / MEDIAN

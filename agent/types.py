@@ -285,7 +285,7 @@ class Verdict:
     """What is believed of a constant of the rig: a mass, a sensor's gain, the inputs' delay.
 
     Attributes:
-        hypothesis: what is off: "m1", "all masses", "x1", "x1 drifts", "delay".
+        hypothesis: what is off: "m1", "all masses", "x1", "x1 drifts", "delay" of the inputs, "x1 late".
         size, sd: how far, and how well that is known, in `unit`: per cent more than configured, or seconds.
         probability: posterior.
     """

@@ -77,7 +77,9 @@ class ConstantsWatch:
     def _words(self, belief: Belief) -> str:
         kind = belief.kind if belief.kind in _HINTS else "gain"
         hint = _HINTS[kind]
-        if kind == "delay" and self.commanded:
+        if kind == "delay" and belief.name != "delay":
+            hint = "state its delay_s"
+        elif kind == "delay" and self.commanded:
             hint = _COMMANDED_EARLY if belief.size < 0 else _COMMANDED_LATE
         return f"{words(belief, self.period_s)}; {hint}"
 
@@ -144,7 +146,10 @@ _COMMANDED_EARLY = 'set hold = "first" where the force is measured and runs on b
 
 def _delay_words(belief: Belief, period_s: float) -> str:
     late_ms, sd_ms = 1e3 * period_s * belief.size, 1e3 * period_s * belief.sd
-    return f"the inputs act {number(late_ms, 3)} ± {number(sd_ms, 2)} ms late"
+    how = f"{number(late_ms, 3)} ± {number(sd_ms, 2)} ms late"
+    if belief.name != "delay":
+        return f"{belief.name.removesuffix(' late')} is read {how}"
+    return f"the inputs act {how}"
 
 
 def _mass_words(belief: Belief, _: float) -> str:

@@ -16,7 +16,7 @@ from agent.numerics.model.identifiability import identifiability
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
 from agent.numerics.model.sensors import Nuisance, SensedModel, Side
 from agent.numerics.model.statespace import AffineModel, Model, StateSpace, modes
-from agent.numerics.model.uncertain import CURVED, Constant, Rig, Rubbing
+from agent.numerics.model.uncertain import CURVED, LAG, Constant, Rig, Rubbing
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
@@ -222,16 +222,24 @@ def constants_of(
             for i, c in enumerate(channels)
             if c.gain_sd_percent > 0 and f"{c.name}.gain" not in wanted
         ]
+    return (*out, *_timing(config, direct, curved))
+
+
+def _timing(config: RigConfig, direct: bool, curved: bool) -> list[Constant]:
+    """Return how late inputs and outputs may be, and whether inputs are smooth between samples."""
+    out = []
     delay = _delay_samples(config)
-    if delay == 0:
-        return tuple(out)
     is_held = config.estimator.hold == "zero"
-    out.append(Constant("delay", "delay", 0, delay, apart=is_held))
-    if direct or not is_held:
-        out.append(Constant("delay", "delay", 1, delay, apart=not is_held))
-    if curved:
-        out.append(Constant("curve", "delay", CURVED, CURVE_SHEET, shows=False))
-    return tuple(out)
+    if delay > 0:
+        out.append(Constant("delay", "delay", 0, delay, apart=is_held))
+        if direct or not is_held:
+            out.append(Constant("delay", "delay", 1, delay, apart=not is_held))
+        if curved:
+            out.append(Constant("curve", "delay", CURVED, CURVE_SHEET, shows=False))
+    # open where it is stated only: under coloured noise and forces it explains what other things do
+    rate = config.rig.sample_rate_hz
+    late = [(i, c.name, c.delay_sd_s) for i, c in enumerate(config.outputs) if c.delay_sd_s]
+    return [*out, *(Constant(f"{name} late", "delay", LAG + i, sd_s * rate) for i, name, sd_s in late)]
 
 
 def _is_direct(config: RigConfig, built: RigModel) -> bool:

@@ -15,7 +15,7 @@ def check_constants(draft: Draft) -> None:
             _check_mass(Entry(f"model.mass[{i}]", mass), estimated, draft.faults)
     for entry in draft.channels:
         _check_gain(entry, estimated, draft.faults)
-        _check_delay(entry, draft.faults)
+        _check_delay(entry, draft)
         _check_spread(entry, draft.faults)
 
 
@@ -41,16 +41,19 @@ def _check_gain(entry: Entry[Channel], estimated: set[str], faults: Faults) -> N
     _check_percent(f"{path}.gain_sd_percent", channel.gain_sd_percent, faults)
 
 
-def _check_delay(entry: Entry[Channel], faults: Faults) -> None:
+def _check_delay(entry: Entry[Channel], draft: Draft) -> None:
     path, channel = entry
-    if (
-        _stated(channel, "delay_sd_s")
-        and readable(channel.quantity)
-        and channel.delay_sd_s
-        and not channel.is_input
-    ):
-        what = "goes with a force or an input: what is early or late is them against all that is measured"
-        faults.add(f"{path}.delay_sd_s", what, "state it there")
+    if not (_stated(channel, "delay_sd_s") and readable(channel.quantity) and channel.delay_sd_s):
+        return
+    if channel.is_input:
+        return
+    measured = [e for e in draft.channels if readable(e.table.quantity) and not e.table.is_input]
+    if len(measured) < 2:
+        what = "goes with a force or an input, against which the only reading of the motion may be late"
+        draft.faults.add(f"{path}.delay_sd_s", what, "state it there")
+    elif draft.estimator.hold != "first":
+        what = f'of what is measured it goes with hold = "first", not {shown(draft.estimator.hold)}'
+        draft.faults.add(f"{path}.delay_sd_s", what, "remove the key, or calibrate the channel's delay_s")
 
 
 def _check_spread(entry: Entry[Channel], faults: Faults) -> None:

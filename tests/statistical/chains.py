@@ -106,7 +106,8 @@ class Chain:
 
     def configuration(self, **said: object) -> RigConfig:
         """The rig as it is configured: `noise` (per output, None: not stated), `masses`, `hold`,
-        `limit_percent`, `observer` (a table's text), `sd_percent`, `gain_sd_percent`, `delay_sd_s`."""
+        `limit_percent`, `observer` (a table's text), `sd_percent`, `gain_sd_percent`, `delay_sd_s`, and
+        `lag_sd_s`, the same of outputs."""
         return _loaded(self, tuple(sorted(said.items())))
 
 
@@ -141,6 +142,7 @@ def _text(chain: Chain, said: Mapping[str, object]) -> str:
     lines += ["]", "[[channel]]", 'name = "force"', 'quantity = "force"', f'at = "{nodes[-1]}"']
     lines += [f'unit = "N"\n{gain}{late}']
     stated = said.get("noise", chain.noise)
+    gain += f"delay_sd_s = {said['lag_sd_s']}\n" if "lag_sd_s" in said else ""
     for (quantity, mass), name, noise in zip(chain.sensors, chain.outputs, stated, strict=True):  # type: ignore[call-overload]
         lines += ["[[channel]]", f'name = "{name}"', f'quantity = "{quantity}"', f'at = "m{mass + 1}"']
         lines += [f'unit = "{UNITS[quantity]}"\n{gain}' + ("" if noise is None else f"noise_sd = {noise!r}")]

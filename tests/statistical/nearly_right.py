@@ -109,6 +109,16 @@ def pushed(sd: float, pole: float, mass: int = 0) -> Change:
     return change
 
 
+def read_late(*lags: float) -> Change:
+    """Outputs that are read so many samples late, each by its own: one converter after the other."""
+
+    def spoil(y: FloatArray) -> FloatArray:
+        k = np.arange(len(y))
+        return np.column_stack([np.interp(k - lag, k, own) for lag, own in zip(lags, y.T, strict=True)])
+
+    return lambda play, _: play.after.append(spoil)
+
+
 def held(play: Play, _: np.random.Generator) -> None:
     play.hold = "zero"
 
@@ -194,6 +204,7 @@ SCALE = frozenset({"all masses", "all outputs", "force", "all inputs"})
 """What has the same effect: masses, springs and dampers are known only as far as forces and gains are."""
 LATE = frozenset({"delay"})
 ZERO: dict[str, object] = {"hold": "zero"}
+IN_TURN: dict[str, object] = {"lag_sd_s": 2.5e-4}
 POLES = '[estimator.observer]\ngain = "poles"\npoles = [-45.0, -40.0, -35.0, -30.0]'
 KALMAN = '[estimator.observer]\ngain = "kalman"\nprocess_sd = [0.5, 0.5]'
 CASES: dict[str, Case] = {
@@ -247,6 +258,26 @@ CASES: dict[str, Case] = {
     "not held, hold zero": Case(config=ZERO, right=LATE, said=True),
     "not held, hold zero, 200 Hz": Case(SLOW, config=ZERO, right=LATE, said=True),
     "not held, hold zero, accelerometers": Case(FELT, config=ZERO, right=LATE, said=True),
+    "x2 a tenth of a sample late": Case(
+        changes=(read_late(0.0, 0.1),), config=IN_TURN, right=frozenset({"x2 late"})
+    ),
+    "a1 half a sample late, accelerometers": Case(
+        FELT, (read_late(0.5, 0.0),), IN_TURN, frozenset({"a1 late"})
+    ),
+    "a2 a quarter of a sample late, accelerometers": Case(
+        FELT, (read_late(0.0, 0.25),), IN_TURN, frozenset({"a2 late"}), said=True
+    ),
+    "read one after the other, accelerometers": Case(
+        FELT, (read_late(0.25, 0.5),), IN_TURN, frozenset({"a1 late", "a2 late", "delay"})
+    ),
+    "x2 half a sample late, three masses": Case(
+        THREE, (read_late(0.0, 0.5, 0.0),), {"lag_sd_s": 5e-4}, frozenset({"x2 late"}), said=True
+    ),
+    "x1 half a sample late and m2 +5 %": Case(
+        changes=(read_late(0.5, 0.0), masses(1.0, 1.05)), config=IN_TURN,
+        right=frozenset({"x1 late", "m2"}),
+    ),
+    "right, outputs that may be late": Case(config=IN_TURN),
     "gain drifts, one mass": Case(
         SHAKEN, (drift(0, 0.05),), right=frozenset({"m1", "a1", "a1 drifts", "force", "force drifts"})
     ),

@@ -16,6 +16,7 @@ QUICK = (
     "x2 reads 5 % more, three masses",
     "held, hold first, one mass", "hum", "driving-point accelerometer", "mass 3 % and hum",
     "force noise and x2 +4 %", "late and m1 +3 %, hold zero, accelerometers", "three digits",
+    "a1 half a sample late, accelerometers",
 )  # fmt: skip
 
 

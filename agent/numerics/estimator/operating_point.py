@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.estimator.tuning import LINE_LEVEL, MOST_LINES, PRESENT_NODES
+from agent.numerics.estimator.tuning import AT_ONCE, LINE_LEVEL, MOST_LINES, PRESENT_NODES
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise.lines import between
 from agent.numerics.inference.noise.rounding import Rounding
@@ -21,6 +21,7 @@ from agent.numerics.model.scales import combined, scales_of
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.model.uncertain import (
     CURVED,
+    LAG,
     Rig,
     Sampled,
     columns_of,
@@ -180,6 +181,10 @@ class _Seen:
             n = len(A)
             dC = self.output_gain[:, None] * curve[:, :n]
             dD = self.output_gain[:, None] * curve[:, n:] * self.input_gain
+        elif (lag := self.at.lag) is not None and constant.is_lag:
+            own = constant.number - LAG
+            dC[own] = self.output_gain[own] * lag[own, : len(A)]
+            dD[own] = self.output_gain[own] * lag[own, len(A) :] * self.input_gain
         elif self.at.late is not None:
             late = self.at.late[constant.number] * self.input_gain[m:]
             dB[:, m:] = late[: len(A)]
@@ -190,11 +195,16 @@ class _Seen:
 def _directions(rig: Rig, known: Knowledge, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return combinations (c, r) of the constants, of unit prior each, beside those that no reading shows.
 
-    None of those that are known exactly. scales (c, k): what no reading shows; times the second return value
-    (k, k) these have unit priors too.
+    None of those that are known exactly, as outputs' lateness is as long as they are believed to be read at
+    once. scales (c, k): what no reading shows; times what comes second (k, k) these have unit priors too.
     """
-    is_open = np.array([constant.sheet > 0 for constant in rig.constants], dtype=bool)
-    root = _root(known.constants.standing[1][np.ix_(is_open, is_open)])
+    P = known.constants.standing[1]
+    at_once = np.sqrt(np.diag(P)) < AT_ONCE
+    is_open = np.array([
+        constant.sheet > 0 and not (constant.is_lag and exact)
+        for constant, exact in zip(rig.constants, at_once, strict=True)
+    ], dtype=bool)  # fmt: skip
+    root = _root(P[np.ix_(is_open, is_open)])
     count = scales.shape[1]
     turned, turn = np.linalg.qr(np.linalg.solve(root, scales[is_open]), mode="complete")
     directions = np.zeros((len(is_open), len(root) - count))

@@ -27,6 +27,7 @@ WITHIN_SHEETS = 2.0  # sds of its data sheet by which a gain may change and is l
 # memory.py
 LEAST_WINDOWS = 4  # windows that must have been learnt from before it is worth keeping
 # operating_point.py
+AT_ONCE = 2e-3  # samples: an output whose lateness is known so well is read at once, and has no column
 PRESENT_NODES = 2.0  # intensities below this many first nodes are taken as absent
 LINE_LEVEL = 8.0  # bins whose noise level is beyond this are lines
 MOST_LINES = 4  # lines followed, the strongest: each costs two states a channel

@@ -104,19 +104,21 @@ def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
     timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
     binary = np.array([c.is_binary for c in constants], dtype=bool)
     late = any(c.kind == "delay" and c.shows and not c.is_binary and c.sheet > 0 for c in constants)
-    times = ((tuning.AS_CONFIGURED, 1.0), (1.0, tuning.PRIOR_LATE))
+    # inputs are in time, and outputs are read at one instant
+    in_time = np.where([c.is_lag for c in constants], tuning.AT_ONCE, tuning.AS_CONFIGURED)
+    times = ((in_time, 0.0, 1.0), (np.ones(len(constants)), 1.0, tuning.PRIOR_LATE))
     # what comes along with a delay is open as wide where inputs may be late as where they are
     along = np.array([tuning.OFF_DELAY / max(c.sheet, 1e-9) * _comes_along(c) for c in constants])
     return [
         (
             np.where(
                 binary,
-                np.maximum(tuning.AS_CONFIGURED, along * (time == 1.0)),
+                np.maximum(tuning.AS_CONFIGURED, along * is_late),
                 np.where(timed, time, factor),
             ),
             odds * likely,
         )
-        for time, odds in times[: 1 + late]
+        for time, is_late, odds in times[: 1 + late]
         for factor, likely in _factors(constants)
     ]
 

@@ -29,6 +29,9 @@ CURVED_A_PERIOD = 15.0
 """Samples a period of the fastest mode below which it is open. Needed by: unknown machines (31 of 40)."""
 AS_CONFIGURED = 0.02
 """Hypothesis "as configured" means this share of the data-sheet sd: right for all that can be measured."""
+AT_ONCE = 2e-5
+"""... of how late one output is read: at once, in all hypotheses but those that say that it is not. With the
+share above rows of a loud window are half as wide again as it says itself, or cost one column an output."""
 SHEET_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Factors on all data-sheet sds, a hypothesis each, the last where there are several masses. Needed by: all
 constants off within their data sheet; m2 -20 % and both outputs -10 %."""
@@ -169,9 +172,9 @@ FIRST_NODE = 0.1
 """First node as a share of the intensity that equals the white sensor noise where the source is strongest."""
 LOWEST_LOG_WEIGHT = -30.0
 """Floor of carried log-weights: the chance that an intensity jumps anywhere in a window is e^-30."""
-ROTATION = 6
-"""Intensities scanned in a window besides the active ones. Cost only: every one has its turn, and of 58 cases
-none holds more or less by a per cent than where all are scanned."""
+ROTATION = 3
+"""Intensities scanned in a window besides the active ones. Cost only: every one has its turn, and of 58
+cases none holds more or less by a per cent than where six or all are scanned."""
 ACTIVE_NODES = 5.0
 """An intensity beyond this many first nodes is scanned in every window."""
 PRIOR_ABSENT = 0.5

@@ -17,7 +17,7 @@ class Belief:
     """One statement about the constants.
 
     Attributes:
-        name: what is off: "m1", "all masses", "x1", "delay".
+        name: what is off: "m1", "all masses", "x1", "delay" of the inputs, "x1 late".
         drifts: whether it changes from window to window.
         kind: "mass", "output", "input" or "delay".
         probability: posterior.

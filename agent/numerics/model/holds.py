@@ -91,6 +91,23 @@ def curvature(
     return Cx, Du, CP @ c.B / T, dCx, dDu, (dCP @ c.B + CP @ c.dB) / T
 
 
+def lateness(
+    continuous: StateSpace, discrete: Discrete
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what outputs lack that are read a sample late: -T y', first order in how late they are.
+
+    y = C x + D u, x = x̃ + B₁ u with the shifted state x̃, so y' = C A x̃ + C (A B₁ + B) u + D u', and the
+    change of the input since the sample before, s, stands for T u'.
+
+    Returns: as `curvature`.
+    """
+    c, T = continuous, discrete.period_s
+    Cx, dCx = -T * c.C @ c.A, -T * (c.dC @ c.A + c.C @ c.dA)
+    Du = Cx @ discrete.B1 - T * c.C @ c.B
+    dDu = dCx @ discrete.B1 + Cx @ discrete.dB1 - T * (c.dC @ c.B + c.C @ c.dB)
+    return Cx, Du, -c.D, dCx, dDu, -c.dD
+
+
 def _derivative_weights(offsets: tuple[int, ...]) -> FloatArray:
     """Return (taps, degree + 1): what readings add to the polynomial's derivatives at 0, time in samples."""
     from numpy.polynomial import polynomial  # it takes 3 ms to import, and few configurations ask for it

@@ -6,13 +6,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from agent.numerics.model.holds import curvature, sample, straight, taps
+from agent.numerics.model.holds import curvature, lateness, sample, straight, taps
 from agent.numerics.model.statespace import Discrete, Hold, Model, StateSpace, discretise
 from agent.types import BoolArray, FloatArray, IntArray
 
 Kind = Literal["mass", "output", "input", "delay"]
 CURVED = 2
 """Fixed by the list of constants: number of the constant that says how smooth inputs are between samples."""
+LAG = 3
+"""Fixed by the list of constants: number of what says how late the first output is read; the others' follow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,8 @@ class Constant:
         number: which mass (of the model's parameters after θ), output or input it belongs to; of delays 0
             where the inputs are late, 1 for what is so or not: that an input is held until the next reading
             (½ sample) in place of a straight line, or that outputs are read before a held one steps (1);
-            2 for what smooth inputs do beyond straight lines between samples (1: all of it).
+            2 for what smooth inputs do beyond straight lines between samples (1: all of it); 3 and on for
+            how late each output is read against all else.
         sheet: standard deviation of its logarithm; of the delay: samples.
         shows: whether data can tell that it is off: no gain can be told where all masses are estimated or
             absent.
@@ -43,6 +46,11 @@ class Constant:
     def is_binary(self) -> bool:
         """Whether what it says of the inputs is so or not, and nothing between to start with."""
         return self.kind == "delay" and self.number == 1
+
+    @property
+    def is_lag(self) -> bool:
+        """Whether it says how late one output is read against all else."""
+        return self.kind == "delay" and self.number >= LAG
 
 
 @dataclass(frozen=True)
@@ -108,6 +116,11 @@ class Rig:
         return any(c.kind == "delay" and c.number == CURVED for c in self.constants)
 
     @property
+    def has_lags(self) -> bool:
+        """Whether outputs may be read late."""
+        return any(c.is_lag for c in self.constants)
+
+    @property
     def shifts(self) -> tuple[int, ...]:
         """Offsets of the further readings a polynomial hold takes of driven inputs; none for other holds."""
         return () if self.hold == straight(self.hold) else tuple(o for o in taps(self.hold) if o)
@@ -143,6 +156,8 @@ class Sampled:
             them u is followed by the slopes u(k) − u(k−1). None of a rig whose inputs are never late.
         curve: (p, n + 2 m) derivatives of C and D by delays[2], what smooth inputs do beyond straight lines;
             None of a rig whose inputs are straight.
+        lag: (p, n + 2 m) derivatives of each output's row of them by how late it is read; None of a rig whose
+            outputs are all read at once.
     """
 
     A: FloatArray
@@ -161,6 +176,7 @@ class Sampled:
     delays: FloatArray | None
     late: FloatArray | None
     curve: FloatArray | None
+    lag: FloatArray | None
 
     @property
     def n(self) -> int:
@@ -187,21 +203,27 @@ def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray, delays: FloatArra
     model = discrete.model
     B, D, dB, dD = _stacked(rig, continuous, model)
     C, dC = model.C, model.dC
-    late = curve = None
+    late = curve = lag = None
     if delays is not None:
         (B, D, dB, dD), late = _late(rig, discrete, (B, D, dB, dD), delays)
+        n = continuous.n
         if rig.is_curved:
-            curve, d_curve = _curve(rig, continuous, discrete)
-            n, amount = continuous.n, delays[2]
-            C, D = C + amount * curve[:, :n], D + amount * curve[:, n:]
-            dC, dD = dC + amount * d_curve[..., :n], dD + amount * d_curve[..., n:]
+            curve, d_curve = _static(rig, curvature(continuous, discrete))
+            C, D = C + delays[CURVED] * curve[:, :n], D + delays[CURVED] * curve[:, n:]
+            dC, dD = dC + delays[CURVED] * d_curve[..., :n], dD + delays[CURVED] * d_curve[..., n:]
+        if rig.has_lags:
+            lag, d_lag = _static(rig, lateness(continuous, discrete))
+            lags = np.zeros((len(C), 1))
+            lags[: len(delays) - LAG, 0] = delays[LAG:]
+            C, D = C + lags * lag[:, :n], D + lags * lag[:, n:]
+            dC, dD = dC + lags * d_lag[..., :n], dD + lags * d_lag[..., n:]
     unit = unit_of(rig, theta)
     steps = np.concatenate([unit, mass])[:, None, None]
     f = rig.pushed
     return Sampled(
         model.A, B, C, D, model.B[:, f], model.D[:, f],
         model.dA * steps, dB * steps, dC * steps, dD * steps,
-        theta.copy(), log_mass.copy(), unit, delays, late, curve,
+        theta.copy(), log_mass.copy(), unit, delays, late, curve, lag,
     )  # fmt: skip
 
 
@@ -219,16 +241,16 @@ def _late(
     return [np.concatenate(pair, axis=-1) for pair in zip(given, slopes, strict=True)], late
 
 
-def _curve(rig: Rig, continuous: StateSpace, discrete: Discrete) -> tuple[FloatArray, FloatArray]:
-    """Return what smooth inputs do beyond straight lines: columns of C, of D, and of the slopes' D beside it.
+def _static(rig: Rig, outputs: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return what is added to outputs as columns of C, of D, and of the slopes' D beside it.
 
-    The derivatives of these by each parameter come second.
+    The derivatives of these by each parameter come second. outputs: see `curvature`.
     """
-    Cx, Du, Ds, dCx, dDu, dDs = curvature(continuous, discrete)
+    Cx, Du, Ds, dCx, dDu, dDs = outputs
     open_at = rig.driven * 1.0
     u = rig.measured
-    curve = np.hstack([Cx, Du[:, u] * open_at, Ds[:, u] * open_at])
-    return curve, np.concatenate([dCx, dDu[:, :, u] * open_at, dDs[:, :, u] * open_at], axis=-1)
+    added = np.hstack([Cx, Du[:, u] * open_at, Ds[:, u] * open_at])
+    return added, np.concatenate([dCx, dDu[:, :, u] * open_at, dDs[:, :, u] * open_at], axis=-1)
 
 
 class _Missing(NamedTuple):
@@ -285,14 +307,15 @@ def _missing_of_steps(
 
 
 def delays_of(rig: Rig, eta: FloatArray) -> FloatArray | None:
-    """Return the delays (2,), or (3,) where inputs may be smooth, among constants (c,), by their numbers.
+    """Return the delays, by their numbers, among constants (c,); None of a rig in which nothing is late.
 
-    None of a rig whose inputs are never late.
+    Two of inputs at the least, a third where they may be smooth, further ones where outputs may be read late.
     """
     found = rig.of_kind("delay")
-    delays = np.zeros(3 if rig.is_curved else 2)
-    delays[[rig.constants[i].number for i in found]] = eta[found]
-    return delays if len(found) else None
+    numbers = [rig.constants[i].number for i in found]
+    delays = np.zeros(1 + max(1, *numbers)) if numbers else np.zeros(0)
+    delays[numbers] = eta[found]
+    return delays if numbers else None
 
 
 def gains_of(rig: Rig, eta: FloatArray, at: Sampled) -> tuple[FloatArray, FloatArray]:

@@ -122,7 +122,7 @@ PRESS_TABLE = [
     ("noise_sd = 1e-6", "noise_sd = 1e-6\nnoise_sd_spread = 30", "channel[1].noise_sd_spread", "0.3 is 30 %"),
     ("noise_sd = 1e-6", "noise_sd = 1e-6\nnoise_sd_spread = 0", "channel[1].noise_sd_spread",
      "greater than 0"),
-    ("noise_sd = 1e-6", "delay_sd_s = 0.001", "channel[1].delay_sd_s", "goes with a force or an input"),
+    ("noise_sd = 1e-6", "delay_sd_s = 0.001", None, ""),
     ("noise_sd = 1e-6", "delay_sd_s = 0", None, ""),
     ("scale = 1.0", "delay_sd_s = 0.001", None, ""),
     # estimator
@@ -249,6 +249,8 @@ MINIMAL_TABLE = [
      None, ""),
     ("mass = [{ name = \"m\", value = 2 }]", "mass = []", "model.mass", "is missing"),
     ('quantity = "displacement"', 'quantity = "force"', "channel", "nothing is measured"),
+    ('quantity = "displacement"', 'quantity = "displacement"\ndelay_sd_s = 0.001', "channel[0].delay_sd_s",
+     "the only reading of the motion"),
     ("[[channel]]", "[channel]", "channel", "write [[channel]]"),
     ("[rig]", "[model.x]\n[rig]", "model.x", "unknown key"),
 ]  # fmt: skip
@@ -276,6 +278,12 @@ ROWS = [
     for base, rows in ((PRESS, PRESS_TABLE), (MINIMAL, MINIMAL_TABLE), (MOTOR, MOTOR_TABLE))
     for row in rows
 ]
+
+
+def test_config_output_that_may_be_late_goes_with_forces_that_run_straight() -> None:
+    commanded = (('hold = "first"', 'hold = "zero"'), ("noise_sd = 1e-6", "delay_sd_s = 0.001"))
+    found = faults(changed(PRESS, *commanded))["channel[1].delay_sd_s"]
+    assert 'goes with hold = "first", not "zero"' in found
 
 
 @pytest.mark.parametrize(("base", "old", "new", "path", "words"), ROWS, ids=lambda value: str(value)[:40])

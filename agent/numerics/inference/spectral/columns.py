@@ -9,7 +9,7 @@ import numpy as np
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response, end_states
 from agent.numerics.inference.spectral.sources import Source, end_effect
-from agent.numerics.model.uncertain import CURVED, Constant, Rig, columns_of, gains_of
+from agent.numerics.model.uncertain import CURVED, LAG, Constant, Rig, columns_of, gains_of
 from agent.types import ComplexArray, FloatArray, IntArray
 
 Weigh = Callable[[ComplexArray], FloatArray]
@@ -325,6 +325,9 @@ class Regressor:
                 column = np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
             elif (curve := self.response.at.curve) is not None and constant.number == CURVED:
                 column = np.hstack([X, U]) @ curve.T * self.output_gain
+            elif (lag := self.response.at.lag) is not None and constant.is_lag:
+                own = constant.number - LAG
+                column[:, own] = np.hstack([X, U]) @ lag[own] * self.output_gain[own]
             elif (late := self.response.at.late) is not None:
                 slopes = U[:, len(rig.measured) :]
                 column = self.response.delayed(late[constant.number], slopes) * self.output_gain

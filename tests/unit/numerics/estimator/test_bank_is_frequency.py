@@ -90,10 +90,11 @@ def only(constants: Constants, name: str) -> Constants:
     return Constants(constants.hypotheses[one], np.ones(1), constants.mean[one], constants.covariance[one])
 
 
-@pytest.mark.parametrize("believed", ["as configured", "within data sheet", "m1", "x1 drifts"])
+@pytest.mark.parametrize("believed", ["as configured", "within data sheet", "m1", "x1 drifts", "x1 late"])
 def test_bank_rows_weigh_the_constants_as_the_learner_does_whatever_the_excitation(believed: str) -> None:
     noise = DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
-    rows, answers = both(ChainRig(), noise, 3, believed=believed, loudness=3.0)
+    rig = ChainRig(lag=0.25 if believed.endswith("late") else 0.0)
+    rows, answers = both(rig, noise, 3, believed=believed, loudness=3.0)
     sd = np.array([np.sqrt(a.sd**2 - a.slid**2) for a in answers])
     theta = np.array([a.theta for a in answers])
     assert np.abs(np.log(rows.sd / sd)).max() < 1e-4

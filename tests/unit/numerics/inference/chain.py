@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from agent.numerics.model.mechanics import Element, Mass, MassSpringDamper, Output, Structure
-from agent.numerics.model.uncertain import Constant, Rig
+from agent.numerics.model.uncertain import LAG, Constant, Rig
 
 FloatArray = NDArray[np.float64]
 STEP = 1e-30
@@ -26,6 +26,7 @@ class ChainRig:
 
     Attributes:
         sheet: data-sheet sds of masses, output gains, the force's gain and the delay (samples).
+        lag: the same of how late each output is read; 0 for at once.
     """
 
     masses: tuple[float, ...] = (5.0, 3.0)
@@ -34,6 +35,7 @@ class ChainRig:
     period: float = 0.02
     seen: tuple[str, ...] = ("displacement", "displacement")
     sheet: tuple[float, float, float, float] = (0.02, 0.01, 0.01, 0.25)
+    lag: float = 0.0
 
     @property
     def count(self) -> int:
@@ -48,7 +50,9 @@ class ChainRig:
         mass, out, force, delay = self.sheet
         found = [Constant(f"m{i + 1}", "mass", i, mass) for i in range(self.count)]
         found += [Constant(f"x{i + 1}", "output", i, out) for i in range(len(self.seen))]
-        return (*found, Constant("force", "input", 0, force), Constant("delay", "delay", 0, delay))
+        found += [Constant("force", "input", 0, force), Constant("delay", "delay", 0, delay)]
+        lags = range(len(self.seen) if self.lag > 0 else 0)
+        return (*found, *(Constant(f"x{i + 1} late", "delay", LAG + i, self.lag) for i in lags))
 
     @property
     def rig(self) -> Rig:

@@ -14,7 +14,7 @@ Kind = Literal["mass", "output", "input", "delay"]
 CURVED = 2
 """Fixed by the list of constants: number of the constant that says how smooth inputs are between samples."""
 LAG = 3
-"""Fixed by the list of constants: number of what says how late the first output is read, the others follow."""
+"""Fixed by the list of constants: the number of how late the first output is read, the others follow."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,6 +59,9 @@ def test_hypotheses_are_updated_where_they_stand() -> None:
     while (place := update.farthest()) is not None:
         update.also(seen(place))
     mean = update.mean
+    assert update.nearest[0] != update.nearest[1]
+    second = update.covariance(np.array([1]))
+    np.testing.assert_allclose(second[0], update.covariance(np.arange(2))[1], rtol=1e-12)
     assert mean[1] == pytest.approx(TRUTH, abs=1e-4)
     assert curve(mean[0]) == pytest.approx(curve(TRUTH), abs=1e-4)
     assert abs(curve(linear[0]) - curve(TRUTH)) > 3 * SD

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.numerics.estimator.tuning import CONFIRMED_SD, CONFIRMED_SHARE
+from agent.numerics.estimator.tuning import CONFIRMED_SD, CONFIRMED_SPREAD
 from agent.types import BoolArray, FloatArray, IntArray
 
 Place = tuple[int, int]
@@ -118,8 +118,8 @@ class Doubts:
     def _is_confirmed(self, run: list[Place], found: Found) -> bool:
         share, sd = found.share({place: self.size[place] for place in run})
         # a blow of few samples is not straight between them: the motion finds it, not quite as it was read
-        near = max(CONFIRMED_SD * sd, CONFIRMED_SHARE)
-        return abs(share - 1) < min(near, abs(share))
+        near = CONFIRMED_SD * np.hypot(sd, CONFIRMED_SPREAD)
+        return bool(abs(share - 1) < min(near, abs(share)))
 
     def trim(self, first: int) -> None:
         """Let go of what lies before sample `first`."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.numerics.estimator.tuning import AT_ONCE, LINE_LEVEL, MOST_LINES, PRESENT_NODES
+from agent.numerics.estimator.tuning import IN_TIME, LINE_LEVEL, MOST_LINES, PRESENT_NODES
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise.lines import between
 from agent.numerics.inference.noise.rounding import Rounding
@@ -199,7 +199,7 @@ def _directions(rig: Rig, known: Knowledge, scales: FloatArray) -> tuple[FloatAr
     once. scales (c, k): what no reading shows; times what comes second (k, k) these have unit priors too.
     """
     P = known.constants.standing[1]
-    at_once = np.sqrt(np.diag(P)) < AT_ONCE
+    at_once = np.sqrt(np.diag(P)) < IN_TIME
     is_open = np.array([
         constant.sheet > 0 and not (constant.is_lag and exact)
         for constant, exact in zip(rig.constants, at_once, strict=True)

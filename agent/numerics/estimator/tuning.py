@@ -10,7 +10,7 @@ UNITS_WAIT = 320  # hops that wait until the window before them was learnt from:
 DULLED = 1.05  # growth of the sharpest sd with each move of the operating point, which follows the machine
 # doubts.py
 CONFIRMED_SD = 4.0  # sds within which the motion must find a suspect reading to confirm it
-CONFIRMED_SHARE = 0.25  # ... or share of it: a half sine of four samples differs by 5 %, of two by 20
+CONFIRMED_SPREAD = 0.06  # sd of its share besides: a half sine of four samples is 5 % from straight lines
 # explainer.py
 VERDICT_WINDOWS = 3  # learnt from before verdicts, first or anew: they tell of noise and constants at once
 REFILLS = 2  # times that suspect inputs are put where the motion asks for them before a window is solved
@@ -27,7 +27,7 @@ WITHIN_SHEETS = 2.0  # sds of its data sheet by which a gain may change and is l
 # memory.py
 LEAST_WINDOWS = 4  # windows that must have been learnt from before it is worth keeping
 # operating_point.py
-AT_ONCE = 2e-3  # samples: an output whose lateness is known so well is read at once, and has no column
+IN_TIME = 2e-3  # samples: an output whose lateness is known so well is read at once, and has no column
 PRESENT_NODES = 2.0  # intensities below this many first nodes are taken as absent
 LINE_LEVEL = 8.0  # bins whose noise level is beyond this are lines
 MOST_LINES = 4  # lines followed, the strongest: each costs two states a channel

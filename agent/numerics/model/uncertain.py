@@ -208,11 +208,11 @@ def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray, delays: FloatArra
         (B, D, dB, dD), late = _late(rig, discrete, (B, D, dB, dD), delays)
         n = continuous.n
         if rig.is_curved:
-            curve, d_curve = _static(rig, curvature(continuous, discrete))
+            curve, d_curve = _static(rig, curvature(continuous, discrete), rig.driven)
             C, D = C + delays[CURVED] * curve[:, :n], D + delays[CURVED] * curve[:, n:]
             dC, dD = dC + delays[CURVED] * d_curve[..., :n], dD + delays[CURVED] * d_curve[..., n:]
         if rig.has_lags:
-            lag, d_lag = _static(rig, lateness(continuous, discrete))
+            lag, d_lag = _static(rig, lateness(continuous, discrete), np.ones_like(rig.driven))
             lags = np.zeros((len(C), 1))
             lags[: len(delays) - LAG, 0] = delays[LAG:]
             C, D = C + lags * lag[:, :n], D + lags * lag[:, n:]
@@ -241,16 +241,18 @@ def _late(
     return [np.concatenate(pair, axis=-1) for pair in zip(given, slopes, strict=True)], late
 
 
-def _static(rig: Rig, outputs: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
+def _static(
+    rig: Rig, outputs: tuple[FloatArray, ...], acting: BoolArray
+) -> tuple[FloatArray, FloatArray]:
     """Return what is added to outputs as columns of C, of D, and of the slopes' D beside it.
 
-    The derivatives of these by each parameter come second. outputs: see `curvature`.
+    The derivatives of these by each parameter come second. outputs: see `curvature`;  acting: (m,) inputs
+    that do any of it. What no channel drives has no slope.
     """
     Cx, Du, Ds, dCx, dDu, dDs = outputs
-    open_at = rig.driven * 1.0
     u = rig.measured
-    added = np.hstack([Cx, Du[:, u] * open_at, Ds[:, u] * open_at])
-    return added, np.concatenate([dCx, dDu[:, :, u] * open_at, dDs[:, :, u] * open_at], axis=-1)
+    added = np.hstack([Cx, Du[:, u] * acting, Ds[:, u] * rig.driven])
+    return added, np.concatenate([dCx, dDu[:, :, u] * acting, dDs[:, :, u] * rig.driven], axis=-1)
 
 
 class _Missing(NamedTuple):

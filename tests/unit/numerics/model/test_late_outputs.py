@@ -52,6 +52,23 @@ def test_output_that_is_late_shows_the_motion_as_it_was(
             assert left <= 0.2 * np.abs(at_once[steps, channel] - was).max() + 1e-12
 
 
+def test_force_that_no_channel_drives_moves_what_is_late_too() -> None:
+    """A constant beside the measured force: it has no slope, and its part in the speed counts."""
+    one = late()
+    model = replace(one.model, forces=("m", "m"))  # type: ignore[type-var]
+    both = np.array([0, 1])
+    made = replace(one, model=model, measured=both, driven=np.array([True, False]), pushed=both[:1])
+    u = np.vstack([np.zeros((1, 2)), np.column_stack([np.zeros(60), 5 * np.ones(60)])])
+    places = np.arange(FINE * (len(u) - 1) + 1) / FINE
+    fine = discretise(model.continuous(model.nominal), made.period_s / FINE, "first").model
+    inputs = np.column_stack([np.interp(places, np.arange(len(u)), own) for own in u.T])
+    truth = run(fine.A, fine.B, fine.C, fine.D, inputs)[:, 0]
+    found, at_once = readings(at(made, (0.25, 0.0)), u)[:, 0], readings(at(made, (0.0, 0.0)), u)[:, 0]
+    steps = np.arange(5, len(u) - 1)
+    was = truth[FINE * steps - FINE // 4]
+    assert np.abs(found[steps] - was).max() <= 0.06 * np.abs(at_once[steps] - was).max()
+
+
 def test_derivatives_by_parameters_are_those_of_what_is_late() -> None:
     made, lags, step = late(), (0.4, 0.2), 1e-6
     here = at(made, lags)

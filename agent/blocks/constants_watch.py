@@ -20,18 +20,20 @@ class ConstantsWatch:
     Args:
         rig: its name.
         period_s: sampling period: delays are said in seconds.
+        window: samples of a window.
         channels: channel of each output that may raise a sensor alarm.
         commanded: whether the inputs are held from sample to sample by the configuration.
     """
 
     rig: str
     period_s: float
+    window: int
     channels: frozenset[str]
     commanded: bool = False
     _stored: dict[str, float] = field(default_factory=dict)
     _said: set[str] = field(default_factory=set)
     _tie: tuple[str, ...] = ()
-    _lasting: dict[str, int] = field(default_factory=dict)
+    _since: dict[str, int] = field(default_factory=dict)
     _alarmed: set[str] = field(default_factory=set)
 
     def step(
@@ -103,18 +105,21 @@ class ConstantsWatch:
         for belief in beliefs:
             if belief.name in self.channels:
                 off[belief.name] += belief.probability
-        changes = {channel: self._change(channel, probability) for channel, probability in off.items()}
+        changes = {channel: self._change(channel, p, sample) for channel, p in off.items()}
         return [
             SensorEvent(SensorFault(channel, Reason.SENSOR), standing, sample, t_ns)
             for channel, standing in changes.items()
             if standing is not None
         ]
 
-    def _change(self, channel: str, probability: float) -> bool | None:
+    def _change(self, channel: str, probability: float, sample: int) -> bool | None:
         """Return whether a channel's alarm begins or ends with a window; None where it stays as it is."""
-        self._lasting[channel] = self._lasting.get(channel, 0) + 1 if probability >= ALARM else 0
+        since = self._since.setdefault(channel, sample)
+        if probability < ALARM:
+            self._since.pop(channel)
+            since = sample
         raised = channel in self._alarmed
-        if not raised and self._lasting[channel] >= ALARM_WINDOWS:
+        if not raised and sample - since >= (ALARM_WINDOWS - 1) * self.window:
             self._alarmed.add(channel)
             return True
         if raised and probability < DROPPED:

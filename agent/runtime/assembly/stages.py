@@ -57,5 +57,7 @@ def make_stages(config: RigConfig, steps: FloatArray) -> Stages:
         friction=dry_friction(config, steps[inputs:]),
         estimation=estimation,
         channels=ChannelWatch(rig, tuple((c.name, c.quantity) for c in (*config.outputs, *config.inputs))),
-        constants=ConstantsWatch(rig, 1.0 / rate_hz, frozenset(c.name for c in config.outputs), is_commanded),
+        constants=ConstantsWatch(
+            rig, 1.0 / rate_hz, window, frozenset(c.name for c in config.outputs), is_commanded
+        ),
     )

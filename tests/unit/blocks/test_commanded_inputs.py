@@ -18,7 +18,7 @@ def delays(**said: object) -> list[tuple[int, float]]:
 
 
 def messages(beliefs: tuple[Belief, ...], commanded: bool = True) -> list[str]:
-    watch = ConstantsWatch("rig", 1e-3, frozenset({"x1"}), commanded)
+    watch = ConstantsWatch("rig", 1e-3, 250, frozenset({"x1"}), commanded)
     found = watch.step([(0, beliefs)], {0: 0}).values
     return [record.message for record in found if isinstance(record, HealthEvent)]
 

@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtr
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.constants import Constants
+from agent.numerics.inference.constants import Constants, Hypothesis
 from agent.numerics.model.uncertain import Constant
-from agent.types import FloatArray
+from agent.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,34 +38,63 @@ class Belief:
         return f"{self.name} drifts" if self.drifts else self.name
 
 
+@dataclass(frozen=True, slots=True)
+class _Statements:
+    """All that hypotheses say of constants, (n,) statements; the same may be said beside several others.
+
+    Attributes:
+        row: (n,) hypothesis.
+        share: (n, c) of the mean of what is off that each constant has.
+        drifts, relative: (n,) whether it drifts; whether it is a share and not samples.
+        least: (n,) below which it is not worth a word.
+        places: name, whether it drifts and kind of what is said, and the places where it is.
+    """
+
+    row: IntArray
+    share: FloatArray
+    drifts: BoolArray
+    relative: BoolArray
+    least: FloatArray
+    places: tuple[tuple[str, bool, str, IntArray], ...]
+
+
+@lru_cache(maxsize=128)
+def _statements(hypotheses: tuple[Hypothesis, ...], of: tuple[Constant, ...]) -> _Statements:
+    """Return what hypotheses say of constants (c,), made once for each rig."""
+    said = [(row, *what) for row, h in enumerate(hypotheses) for what in h.named]
+    members = np.array([each for _, _, each, _ in said]).reshape(len(said), len(of))
+    first = [of[i] for i in members.argmax(axis=1).tolist()] if said else []
+    places: dict[tuple[str, bool, str], list[int]] = {}
+    for place, (_, name, _, drifting) in enumerate(said):
+        places.setdefault((name, drifting, first[place].kind), []).append(place)
+    return _Statements(
+        np.array([row for row, *_ in said], dtype=np.int64),
+        members / members.sum(axis=1, keepdims=True),
+        np.array([each for *_, each in said], dtype=bool),
+        np.array([one.kind != "delay" for one in first], dtype=bool),
+        tuning.WORTH_NAMING * np.array([one.sheet for one in first]),
+        tuple((*what, np.array(at)) for what, at in places.items()),
+    )
+
+
 def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
     """Return a belief for each hypothesis that something is off; of (c,): the constants.
 
     What drifts within a share of its data sheet is no drift worth a word, however surely it is one.
     """
-    said = [(row, *what) for row, h in enumerate(constants.hypotheses) for what in h.named]
-    if not said:
-        return ()
-    rows = [row for row, *_ in said]
-    members = np.array([each for _, _, each, _ in said])
-    first = [of[i] for i in members.argmax(axis=1).tolist()]
-    share = members / members.sum(axis=1, keepdims=True)
-    size = (share * constants.mean[rows]).sum(axis=1)
-    sd = np.sqrt(np.einsum("ni,nij,nj->n", share, constants.covariance[rows], share, optimize=True))
-    relative = np.array([one.kind != "delay" for one in first], dtype=bool)
-    sd = np.where(relative, np.exp(size) * sd, sd)
-    size = np.where(relative, np.expm1(size), size)
-    least = tuning.WORTH_NAMING * np.array([one.sheet for one in first])
-    larger = ndtr((-least - size) / np.maximum(sd, 1e-300)) + ndtr((size - least) / np.maximum(sd, 1e-300))
-    drifts = np.array([each for *_, each in said], dtype=bool)
-    probability = constants.weight[rows] * np.where(drifts, larger, 1.0)
-    places: dict[tuple[str, bool], list[int]] = {}
-    for place, (_, name, _, drifting) in enumerate(said):
-        places.setdefault((name, drifting), []).append(place)
+    said = _statements(constants.hypotheses, tuple(of))
+    size = (said.share * constants.mean[said.row]).sum(axis=1)
+    carried = (said.share[:, None] @ constants.covariance[said.row])[:, 0]
+    sd = np.sqrt((carried * said.share).sum(axis=1))
+    sd = np.where(said.relative, np.exp(size) * sd, sd)
+    size = np.where(said.relative, np.expm1(size), size)
+    spread = np.maximum(sd, 1e-300)
+    larger = ndtr((-said.least - size) / spread) + ndtr((size - said.least) / spread)
+    probability = constants.weight[said.row] * np.where(said.drifts, larger, 1.0)
     return tuple(
         _shared([
-            _together(name, drifting, first[at[0]].kind, probability[at], size[at], sd[at])
-            for (name, drifting), at in places.items()
+            _together(name, drifting, kind, probability[at], size[at], sd[at])
+            for name, drifting, kind, at in said.places
         ])
     )  # fmt: skip
 

@@ -12,6 +12,7 @@ import numpy as np
 from agent.commissioning.tuning import SINGULAR
 from agent.numerics.inference import tuning
 from agent.numerics.inference.spectral.algebra import scales
+from agent.numerics.model.singular import singular
 from agent.numerics.model.statespace import Discrete
 from agent.numerics.model.uncertain import Constant, Rig, Sampled, sampled
 from agent.types import FloatArray
@@ -151,7 +152,7 @@ def _information(columns: FloatArray, free: FloatArray, sigma: FloatArray) -> Fl
     psi = (columns / sigma).reshape(len(columns), -1).T
     gamma = (free / sigma).reshape(len(free), -1).T
     length = np.linalg.norm(gamma, axis=0)
-    basis, size, _ = np.linalg.svd(gamma / np.where(length > 0, length, 1.0), full_matrices=False)
+    basis, size, _ = singular(gamma / np.where(length > 0, length, 1.0))
     basis = basis[:, size > SINGULAR * size[0]]
     for _ in range(2):  # the second time takes what round-off left of the first
         psi = psi - basis @ (basis.T @ psi)

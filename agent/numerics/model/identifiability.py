@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from agent.numerics.model.observer import balanced
+from agent.numerics.model.singular import singular
 from agent.numerics.model.statespace import Model, StateSpace, modes
 from agent.numerics.model.tuning import ANGLE, HALF_RATE, SILENT, TOLERANCE
 from agent.types import ComplexArray, FloatArray
@@ -57,7 +58,7 @@ def assess(model: StateSpace, measured: int, scale: FloatArray) -> Identifiabili
     silent = tuple(np.flatnonzero(~received).tolist())
     if not received.any():
         return Identifiability(silent, np.zeros((0, model.q)))
-    _, values, vectors = np.linalg.svd(jacobian[:, received] / lengths[received], full_matrices=False)
+    _, values, vectors = singular(jacobian[:, received] / lengths[received])
     null = np.zeros((int(np.sum(values < TOLERANCE * values[0])), model.q))
     null[:, received] = vectors[len(values) - len(null) :] / lengths[received]
     return Identifiability(silent, readable_blends(null, scale, lengths))

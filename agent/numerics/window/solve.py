@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.model.riccati import Predictor
+from agent.numerics.model.singular import singular
 from agent.numerics.window.filtering.basis import Basis
 from agent.numerics.window.filtering.filters import Sizes
 from agent.numerics.window.filtering.noise import Realisation
@@ -162,7 +163,7 @@ def _orthonormal(span: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return root, span @ root (orthonormal columns) and log|span' span|, unseen directions left out."""
     scale = np.linalg.norm(span, axis=0)
     scale[scale == 0] = 1.0
-    left, s, Vt = np.linalg.svd(span / scale, full_matrices=False)
+    left, s, Vt = singular(span / scale)
     k = int((s > UNSEEN * s[0]).sum())
     log_det = 2 * float(np.log(s[:k]).sum() + np.log(scale).sum())
     return (Vt[:k].T / s[:k]) / scale[:, None], left[:, :k], log_det

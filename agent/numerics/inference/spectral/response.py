@@ -25,6 +25,7 @@ import numpy as np
 
 from agent.numerics.inference.spectral.bins import Bins
 from agent.numerics.inference.tuning import FREE_SHARE, ON_A_POLE
+from agent.numerics.model.singular import singular
 from agent.numerics.model.uncertain import Sampled
 from agent.types import ComplexArray, FloatArray
 
@@ -59,7 +60,7 @@ class Response:
     def __init__(self, at: Sampled, bins: Bins) -> None:
         self.at, self.bins, n, kept = at, bins, at.n, bins.kept
         self.AW = np.linalg.matrix_power(at.A, bins.window)
-        left, sizes, right = np.linalg.svd(np.eye(n) - self.AW)
+        left, sizes, right = singular(np.eye(n) - self.AW)
         held = sizes > FREE_SHARE * sizes[0]
         self.left, self.starts, self.still = left[:, ~held].T, right[held].T, right[~held].T
         self.is_free = not held.all()

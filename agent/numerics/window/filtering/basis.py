@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import Predictor
+from agent.numerics.model.singular import leading
 from agent.numerics.window.filtering.filters import System, whitening
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import Realisation
@@ -61,10 +62,10 @@ def balanced_basis(
     factor, _ = _over_hops(_triangle(G), np.linalg.matrix_power(over, plan.hop), longest + 1)
     scale = np.linalg.norm(factor, axis=0)
     scale[scale == 0] = 1.0
-    _, s, Vt = np.linalg.svd(factor / scale)
-    r = int((s > NEGLIGIBLE * s[0]).sum())
-    to_balanced = s[:r, None] * Vt[:r] * scale  # Y
-    from_balanced = (Vt[:r].T / s[:r]) / scale[:, None]
+    s, Vt = leading(factor / scale, NEGLIGIBLE)
+    r = len(s)
+    to_balanced = s[:, None] * Vt * scale  # Y
+    from_balanced = (Vt.T / s) / scale[:, None]
     steps = (plan.head, plan.rest, plan.hop)
     head, rest, hop = (to_balanced @ np.linalg.matrix_power(over, k) @ from_balanced for k in steps)
     size = system.size

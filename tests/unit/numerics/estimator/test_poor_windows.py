@@ -8,7 +8,7 @@ from agent.numerics.estimator.sliding import SlidingEstimator
 from tests.unit.numerics.estimator.test_sliding import estimator
 from tests.unit.numerics.rigs import Record, noisy, record, sampled
 
-WINDOW, DRIVEN, REST, SIGMA = 500, 28_000, 5_000, 1e-4
+WINDOW, DRIVEN, REST, SIGMA = 500, 18_000, 4_000, 1e-4
 
 
 def learnt_from(ml: SlidingEstimator, samples: Record) -> list[int]:
@@ -34,9 +34,9 @@ def test_window_of_a_machine_let_go_is_not_learnt_from_when_it_is_due(rng: np.ra
     samples = let_go(rng, DRIVEN + REST + 4_000)
     ml = estimator(WINDOW, sigma=SIGMA)
     found = learnt_from(ml, samples)
-    due = [index for index in found if index < DRIVEN][-1] + 16 * WINDOW
+    due = [index for index in found if index < DRIVEN][-1] + 8 * WINDOW
     assert DRIVEN + WINDOW < due < DRIVEN + REST  # the motion dies out when the next window is due
     after = [index for index in found if index >= DRIVEN]
     assert after
     assert after[0] >= DRIVEN + REST
-    assert after[0] < due + 16 * WINDOW
+    assert after[0] < due + 8 * WINDOW

@@ -18,7 +18,13 @@ from agent.numerics.estimator.faults import Faults
 from agent.numerics.estimator.memory import from_text, to_text
 from agent.numerics.estimator.reading import Reading
 from agent.numerics.estimator.record import Record
-from agent.numerics.estimator.schedule import Budget, Disturbance, Schedule, samples_an_evaluation
+from agent.numerics.estimator.schedule import (
+    Budget,
+    Disturbance,
+    Schedule,
+    eager_windows,
+    samples_an_evaluation,
+)
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.tuning import (
     AGAIN,
@@ -59,7 +65,8 @@ class Explainer:
         self.lines: dict[int, Posterior] = {}
         self.bank = Bank(settings, self.learner.sources)
         self.budget = budget
-        self.schedule = Schedule(settings.plan.window)
+        window = settings.plan.window
+        self.schedule = Schedule(window, eager_windows(window, settings.rig.period_s))
         self.disturbance = Disturbance()
         self.faults = Faults(self.learner, settings.floor)
         self.doubts = Doubts()

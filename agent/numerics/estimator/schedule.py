@@ -12,11 +12,25 @@ from dataclasses import dataclass
 from agent.numerics.estimator import tuning
 
 
+def eager_windows(window: int, period_s: float) -> int:
+    """Return from how many windows in a row, of so many samples, to learn before learning becomes seldom.
+
+    Fewer short ones: each costs the processor the same ten milliseconds.
+    """
+    least, short, most = tuning.EAGER
+    in_time = max(short, int(tuning.EAGER_A_SECOND * window * period_s))
+    return max(least, min(tuning.EAGER_SAMPLES // window, in_time, most))
+
+
 @dataclass(slots=True)
 class Schedule:
-    """When to learn: from every window at first, then ever more seldom, and poor ones may be passed over."""
+    """When to learn: from every window at first, then ever more seldom, and poor ones may be passed over.
+
+    window: its samples. eager: windows in a row at first.
+    """
 
     window: int
+    eager: int
     learnt: int = 0
     due: int = 0
     patience: int = 0
@@ -27,7 +41,7 @@ class Schedule:
         """Note that the window ending at sample `index` was learnt from."""
         self.learnt, self.tried, self.failed = self.learnt + 1, index, 0
         most = max(tuning.SELDOM, tuning.SELDOM_SAMPLES // self.window)
-        stretch = min(tuning.GROWTH ** max(0, self.learnt - self._eager), most)
+        stretch = min(tuning.GROWTH ** max(0, self.learnt - self.eager), most)
         self.due = index + self.window * int(stretch)
         self.patience = self.due - index if stretch > 1 else 0
 
@@ -45,7 +59,7 @@ class Schedule:
 
     def follow(self, index: int) -> None:
         """Learn soon: something changed."""
-        self.learnt = min(self.learnt, max(self._eager - tuning.FOLLOWED, 0))
+        self.learnt = min(self.learnt, max(self.eager - tuning.FOLLOWED, 0))
         self.due = index + self.window
         self.patience = 0
 
@@ -53,11 +67,6 @@ class Schedule:
     def overdue(self) -> int:
         """The sample from which a window is learnt from even if it tells little: it is one of very few."""
         return self.due + self.patience
-
-    @property
-    def _eager(self) -> int:
-        least, most = tuning.EAGER
-        return min(max(tuning.EAGER_SAMPLES // self.window, least), most)
 
 
 @dataclass(slots=True)

@@ -43,8 +43,9 @@ FLAT = 1e-6  # prior precision of a parameter in units of its size: within a tho
 SPARE = 8192  # samples beyond those kept that may wait before the oldest are let go
 PLACES = 8  # samples of a window that are looked at before all of them are
 # schedule.py
-EAGER = (6, 32)  # windows, at least and most, learnt from in a row before learning becomes seldom
-EAGER_SAMPLES = 12_000  # samples in them otherwise: long windows say more each
+EAGER = (6, 16, 32)  # windows learnt from in a row at first: at least, most of short ones, most
+EAGER_SAMPLES = 12_000  # samples in them at most: long windows say more each
+EAGER_A_SECOND = 64.0  # of them a second of a window at most: thirty rigs that begin together are in time
 GROWTH = 2.0  # ratio of the stretches between windows learnt from afterwards
 SELDOM, SELDOM_SAMPLES = 256, 256_000  # windows between two learnt from, or samples where they are short
 LATEST = 5  # doublings of the time between tries at windows that cannot be solved: eight windows, at the most

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from agent.numerics.estimator.schedule import Schedule
-from agent.numerics.estimator.tuning import EAGER, EAGER_SAMPLES, SELDOM, SELDOM_SAMPLES
+from agent.numerics.estimator.schedule import Schedule, eager_windows
+from agent.numerics.estimator.tuning import EAGER, SELDOM, SELDOM_SAMPLES
 
 
 def learnt(window: int, windows: int) -> list[int]:
     """Windows that are learnt from among so many, each as it falls due."""
-    schedule, out = Schedule(window), []
+    schedule, out = Schedule(window, eager_windows(window, 0.001)), []
     for number in range(windows):
         if number * window >= schedule.due:
             schedule.done(number * window)
@@ -20,7 +20,7 @@ def learnt(window: int, windows: int) -> list[int]:
 @pytest.mark.parametrize("window", [50, 1000, 4000, 60_000])
 def test_schedule_learns_from_the_first_windows_and_then_ever_more_seldom(window: int) -> None:
     found = learnt(window, 20_000)
-    eager = int(np.clip(EAGER_SAMPLES // window, *EAGER))
+    eager = eager_windows(window, 0.001)
     assert found[:eager] == list(range(eager))
     stretches = np.diff(found)
     assert np.all(np.diff(stretches) >= 0)
@@ -30,8 +30,26 @@ def test_schedule_learns_from_the_first_windows_and_then_ever_more_seldom(window
     assert tens[1] < tens[0] + 20
 
 
+@pytest.mark.parametrize(
+    ("window", "rate_hz", "eager"),
+    [
+        (100, 100.0, 32),  # a second each
+        (250, 1000.0, 16),  # short ones
+        (250, 20_000.0, 16),
+        (300, 1000.0, 19),
+        (1000, 1000.0, 12),  # 12,000 samples
+        (60_000, 1000.0, 6),
+    ],
+)
+def test_few_windows_are_learnt_from_in_a_row_where_they_are_short_or_long(
+    window: int, rate_hz: float, eager: int
+) -> None:
+    assert eager_windows(window, 1.0 / rate_hz) == eager
+    assert EAGER[0] <= eager <= EAGER[2]
+
+
 def test_schedule_that_follows_learns_from_every_window_again() -> None:
-    schedule = Schedule(1000)
+    schedule = Schedule(1000, 12)
     for _ in range(60):
         schedule.done(schedule.due)
     assert schedule.due - schedule.tried == SELDOM * 1000
@@ -40,7 +58,7 @@ def test_schedule_that_follows_learns_from_every_window_again() -> None:
 
 
 def test_schedule_passes_over_poor_windows_for_as_long_again_where_few_are_learnt_from() -> None:
-    schedule = Schedule(1000)
+    schedule = Schedule(1000, 12)
     assert schedule.overdue == schedule.due
     schedule.done(0)
     assert schedule.overdue == schedule.due
@@ -52,7 +70,7 @@ def test_schedule_passes_over_poor_windows_for_as_long_again_where_few_are_learn
 
 
 def test_schedule_tries_windows_that_cannot_be_solved_ever_more_seldom() -> None:
-    schedule, tries, index = Schedule(1000), [], 0
+    schedule, tries, index = Schedule(1000, 12), [], 0
     for _ in range(8):
         schedule.later(index, failed=True)
         tries.append(schedule.due - index)

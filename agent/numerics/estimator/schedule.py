@@ -26,7 +26,9 @@ def eager_windows(window: int, period_s: float) -> int:
 class Schedule:
     """When to learn: from every window at first, then ever more seldom, and poor ones may be passed over.
 
-    window: its samples. eager: windows in a row at first.
+    Args:
+        window: its samples.
+        eager: windows learnt from in a row at first.
     """
 
     window: int

@@ -38,6 +38,17 @@ def test_verdict_names_size_and_kind() -> None:
     assert sum(b.probability for b in found.values()) < 0.5
 
 
+def test_a_group_is_off_by_the_mean_of_its_members() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    together = np.array([h.name == "all masses" for h in prior.hypotheses], dtype=float)
+    mean = np.broadcast_to([0.04, 0.06, 0.0], prior.mean.shape)
+    sharp = np.broadcast_to(np.diag([3e-3, 4e-3, 1e-3]) ** 2, prior.covariance.shape)
+    of_all = Constants(prior.hypotheses, together / together.sum(), mean, sharp)
+    found = {b.name: b for b in beliefs(of_all, CONSTANTS)}["all masses"]
+    assert found.size == pytest.approx(np.expm1(0.05))
+    assert found.sd == pytest.approx(np.exp(0.05) * 2.5e-3)
+
+
 def test_two_things_that_are_off_are_two_beliefs() -> None:
     constants = (Constant("m1", "mass", 0, 0.02), Constant("delay", "delay", 0, 0.2, apart=True))
     prior = Constants.prior(hypotheses_of(constants))

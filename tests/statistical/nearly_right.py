@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import lfilter
 
-from agent.records import Record
+from agent.records import HealthEvent, Record
 from agent.runtime.replay import SOURCE, make_pipeline
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, Status, Verdict
 from drivers.port import SampleBlock
@@ -401,6 +401,8 @@ def records(case: Case, readings: FloatArray) -> list[Record]:
 
 
 def found(given: Sequence[Record], chain: Chain, truth: FloatArray) -> Found:
+    failures = [r.message for r in given if isinstance(r, HealthEvent) and r.cause == "failure"]
+    assert not failures, failures
     batches = [r for r in given if isinstance(r, EstimateBatch)]
     index, status, lower, upper = (
         np.concatenate([getattr(b, part) for b in batches]) for part in ("index", "status", "lower", "upper")

@@ -177,7 +177,7 @@ class Explainer:
         known = self.known
         moved = np.zeros(len(window.lost))
         doubted = self.doubts.among(window.lost, newest + 1 - window.length)
-        if known is None or not doubted.any():
+        if known is None or not known.kept or not doubted.any():  # no window was learnt from
             return window, moved
         for _ in range(REFILLS):
             change = np.where(doubted, self.learner.lost_readings(window, known, moved)[0], 0.0)

@@ -431,9 +431,13 @@ def least(share: float, count: float) -> float:
     return share - SLACK_SD * float((share * (1 - share) / max(count, 1.0)) ** 0.5)
 
 
-def hold(name: str, case: Case, found: Found, sure: float) -> None:
-    """Assert what must be so; sure: share of the recordings in which what is right has to be said."""
+def hold(name: str, case: Case, found: Found, sure: float, *, unsure: bool = False) -> None:
+    """Assert what must be so; sure: share of the recordings in which what is right has to be said.
+
+    unsure: parameters may be without a valid row, where what is understood of them says so.
+    """
     total, each_one = found.valid.sum(), found.valid.sum(axis=0)
+    assert unsure or each_one.all(), f"{name}: no row of a parameter is valid"
     assert found.understood >= 0.97, f"{name}: {100 * found.understood:.1f} % of rows"
     assert not found.cover < least(0.93, total), f"{name}: {100 * found.cover:.1f} % hold"
     assert found.worst >= least(0.90, each_one[each_one > 0].min(initial=np.inf)), f"{name}: {found.worst}"

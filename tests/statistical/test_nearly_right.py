@@ -50,7 +50,6 @@ def test_nearly_right_configuration_holds_in_three_recordings(
     seeds = range(FIRST_SEED, FIRST_SEED + FULL_RECORDINGS)
     found = together(each(partial(_one, name), seeds))
     say(request, f"{name}, {FULL_RECORDINGS} x {FULL_WINDOWS} windows: {found}")
-    assert found.valid.any(axis=0).all()
     hold(name, CASES[name], found, 0.5)
 
 

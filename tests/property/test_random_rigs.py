@@ -15,7 +15,7 @@ from tests.property.random_rigs import written
 
 COMMAND = typer.main.get_command(app)
 """Built once: the command line makes it anew for each call, which is one in a process."""
-RIGS, SOAK = 80, 5000
+RIGS, SOAK = 48, 5000
 REPLAYED = 16
 """Every so manieth rig is replayed in each run, every one when soaking: a fit costs a hundred times a check.
 """

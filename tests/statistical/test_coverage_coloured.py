@@ -8,15 +8,15 @@ from tests.statistical.machine import say
 
 FULL = 200
 QUICK = {
-    "white": 24,
-    "white, to be learnt": 12,
-    "AR(1) 0.9": 8,
-    "force on m1": 9,
-    "16 bits": 12,
-    "16 bits, recorded": 15,
-    "200 us of jitter": 8,
-    "200 us of jitter above all": 8,
-    "200 us of jitter beside a stated noise": 8,
+    "white": 16,
+    "white, to be learnt": 8,
+    "AR(1) 0.9": 6,
+    "force on m1": 6,
+    "16 bits": 8,
+    "16 bits, recorded": 8,
+    "200 us of jitter": 5,
+    "200 us of jitter above all": 5,
+    "200 us of jitter beside a stated noise": 5,
 }
 """Runs of each case where time is short."""
 

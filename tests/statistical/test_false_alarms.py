@@ -9,7 +9,7 @@ from tests.statistical.machine import each, say
 from tests.statistical.operation import FULL_SCALE_M
 from tests.statistical.rig_day import DAY, Shift, shift
 
-QUARTER, SHORT = DAY // 4, DAY // 32
+QUARTER, SHORT = DAY // 4, DAY // 64
 
 
 def quarter(seed: int) -> Shift:
@@ -38,7 +38,7 @@ def assess(found: list[Shift], request: pytest.FixtureRequest) -> None:
 
 
 @pytest.mark.timeout(480)
-def test_false_alarms_in_ninety_minutes_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
+def test_false_alarms_in_45_minutes_of_normal_operation_are_none(request: pytest.FixtureRequest) -> None:
     assess(each(short, range(2)), request)
 
 

@@ -16,7 +16,7 @@ from tests.statistical.operation import NOISE_M, drive
 SETTLE, BEFORE, LASTS = 10 * SECOND, 6 * SECOND, 30 * SECOND
 LEARNT = 13 * SECOND
 """A record of ten windows, and three more."""
-QUICK, FULL = 2, 100
+QUICK, FULL = 1, 100
 STRONG_N = 0.5
 WEIGHTS = {"m1": (1.0, 0.0), "both": (0.7, 0.7)}
 
@@ -99,7 +99,11 @@ def test_forces_that_begin_are_learnt_after_ten_windows(where: str, request: pyt
     assess(where, each(learnt, [(where, seed) for seed in range(QUICK)]), request)
 
 
-@pytest.mark.parametrize("job", [("m1", 1008), ("m1", 1027), ("m1", 1048), ("both", 1008), ("both", 1024)])
+@pytest.mark.parametrize(
+    "job",
+    [("m1", 1008), ("m1", 1027), ("m1", 1048), ("both", 1024),
+     pytest.param(("both", 1008), marks=pytest.mark.soak)],
+)  # fmt: skip
 def test_forces_that_begin_are_taken_for_no_fault(job: tuple[str, int]) -> None:
     """A joint fit that began at weak forces took these for the slow noise of a sensor, and rows were sure; or
     the parameters were believed to change again and again."""

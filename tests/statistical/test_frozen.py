@@ -13,7 +13,7 @@ from tests.statistical.operation import NOISE_M, drive
 from tests.statistical.sensor_faults import healthy
 
 LASTS, AFTER = 3 * SECOND, 3 * SECOND
-QUICK, FULL = 2, 200
+QUICK, FULL = 1, 200
 Spoil = Callable[[FloatArray, int], None]
 
 

@@ -6,7 +6,7 @@ import pytest
 from tests.statistical.machine import each, say
 from tests.statistical.sensor_faults import FAULTS, Blame, one
 
-QUICK, FULL = 5, 200
+QUICK, FULL = 3, 200
 
 
 def assess(kind: str, found: list[Blame], request: pytest.FixtureRequest) -> None:

@@ -87,7 +87,7 @@ def test_short_record_of_a_single_accelerometer_is_identified_where_a_step_of_ha
     assert all(abs(rows[name]["value"] - true) < 3.0 * rows[name]["sd"] for name, true in one.truth.items())
 
 
-@pytest.mark.parametrize("seed", [0, 5])
+@pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.soak)])
 def test_wrong_graph_is_refused_by_name(tmp_path: Path, seed: int) -> None:
     _, config, recording = written(tmp_path, seed, masses=3, without=0)
     before = config.read_bytes()
@@ -104,7 +104,10 @@ def test_wrong_graph_is_refused_by_name(tmp_path: Path, seed: int) -> None:
     ("channels", "factor", "said"),
     [
         (["x1"], 1e3, "it fits with x1 in mm where the file says m: correct"),
-        (["x1", "x2", "x3", "x4"], 1e3, "; or x1, x2, x3, x4 in mm where the file says m: correct"),
+        pytest.param(
+            ["x1", "x2", "x3", "x4"], 1e3, "; or x1, x2, x3, x4 in mm where the file says m: correct",
+            marks=pytest.mark.soak,
+        ),
         (["f4"], 1 / 9.80665, "it fits with f4 in kgf where the file says N: correct"),
     ],
 )

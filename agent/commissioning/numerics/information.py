@@ -108,12 +108,15 @@ def bound_sd(information: FloatArray) -> FloatArray:
 
 
 def _run(A: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:
-    """Return states (r, W, n) of r runs x(k+1) = A x(k) + pushed(k), pushed (r, W, n), from start (r, n)."""
-    states = np.empty_like(pushed)
-    x = start
-    for k in range(pushed.shape[1]):
-        states[:, k] = x
-        x = x @ A.T + pushed[:, k]
+    """Return states (r, W, n) of r runs x(k+1) = A x(k) + pushed(k), pushed (r, W, n), from start (r, n).
+
+    Each turn doubles from how many samples before a state it is summed.
+    """
+    states = np.concatenate([start[:, None], pushed[:, :-1]], axis=1)
+    summed = 1
+    while summed < states.shape[1]:
+        states[:, summed:] += states[:, :-summed] @ A.T
+        A, summed = A @ A, 2 * summed
     return states
 
 

@@ -195,3 +195,20 @@ def test_driver_class_of_an_entry_point_is_loaded(monkeypatch: pytest.MonkeyPatc
         driver_class("none")
     monkeypatch.undo()
     assert {"modbus", "can", "serial"} <= set(plugins.driver_entries())
+
+
+def test_driver_class_that_was_installed_since_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    with pytest.raises(ConfigError, match="no driver is called"):
+        driver_class("later")
+    there = tmp_path / "later-1.0.dist-info"
+    there.mkdir()
+    (there / "METADATA").write_text("Metadata-Version: 2.1\nName: later\nVersion: 1.0\n", encoding="utf-8")
+    named = "later = tests.unit.config.config_driver:FakeDriver"
+    (there / "entry_points.txt").write_text(f"[{plugins.GROUP}]\n{named}\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert driver_class("later") is FakeDriver
+    monkeypatch.undo()
+    plugins._installed.cache_clear()

@@ -42,8 +42,11 @@ def positioning(seconds: int, step: float, rounded: int, seed: int) -> tuple[Flo
     return np.round(np.column_stack([force, np.cumsum(v) / RATE_HZ]) / steps) * steps, steps
 
 
-@pytest.mark.parametrize("rounded", [1, 20])
-@pytest.mark.parametrize("step", [1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize(
+    ("step", "rounded"),
+    [(1e-7, 1), (1e-6, 20), (1e-5, 1),
+     *(pytest.param(*more, marks=pytest.mark.soak) for more in ((1e-7, 20), (1e-6, 1), (1e-5, 20)))],
+)  # fmt: skip
 def test_watch_of_a_machine_that_brakes_and_dwells_for_165_s_finds_nothing(step: float, rounded: int) -> None:
     v, steps = positioning(165, step, rounded, 1)
     watcher = SensorWatch(np.array([True, False]), steps, WINDOW, np.array([0, 1]))

@@ -6,7 +6,7 @@ import pytest
 from tests.statistical.gaps import HOLES, one
 from tests.statistical.machine import NAMES, each, say
 
-QUICK, FULL = 3, 200
+QUICK, FULL = 6, 200
 
 
 def measured(name: str, runs: range, request: pytest.FixtureRequest) -> None:

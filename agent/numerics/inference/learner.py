@@ -117,7 +117,7 @@ class Learner:
         """
         before = known.noise.rounding
         known = self.lineariser.prepared(window, _met(window, known))
-        predicted = replace(known, constants=known.constants.predicted(later))
+        predicted = replace(self.lineariser.placed(known), constants=known.constants.predicted(later))
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
         led = predicted.noise
         if not at.converged and not led.windows:
@@ -152,7 +152,8 @@ class Learner:
         )  # fmt: skip
         posterior = replace(posterior, rubs=self._rubs(settled, at_window, posterior))
         theta, footing = self.lineariser.nearer(settled, known, predicted.eta, here.eta)
-        learnt = replace(at_window, theta=theta, footing=footing, eta=here.eta)
+        place = self.lineariser.place(settled, predicted.eta)
+        learnt = replace(at_window, theta=theta, footing=footing, eta=here.eta, place=place)
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
 
     def _under_other_noise(

@@ -10,7 +10,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge, layout_free
 from agent.numerics.inference.noise.rounding import Rounding, RoundingErrors, reference
 from agent.numerics.inference.noise.state import Noise
-from agent.numerics.inference.posterior import Footing, Knowledge, shifted
+from agent.numerics.inference.posterior import Footing, Knowledge, Place, shifted
 from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
 from agent.numerics.inference.spectral.bins import bins_of
@@ -113,6 +113,22 @@ class Lineariser:
         before = known.kept_for
         due = known.noise.windows in (0, 1, 3, 9, 27) or before is None or known.noise.is_other_than(before)
         return replace(known, kept=self._kept(window, known), kept_for=known.noise) if due else known
+
+    def placed(self, known: Knowledge) -> Knowledge:
+        """Return what is known at the newest window's place where that is as good: its model is at hand."""
+        place, footing = known.place, known.footing
+        if place is None or footing is None:
+            return known
+        there = shifted(known.theta, footing.sensitivity @ (place.eta - known.eta))
+        same = np.abs(place.eta - known.eta) <= tuning.STAYS * self.eta_tolerance()
+        if np.all(same) and np.all(np.abs(there - place.theta) <= place.reach):
+            return replace(known, theta=place.theta, eta=place.eta)
+        return known
+
+    def place(self, at: Linearised, eta: FloatArray) -> Place:
+        """Return where a window was linearised, constants at eta (c,)."""
+        sd = np.sqrt(np.diag(at.eliminated[3]))
+        return Place(at.theta, eta, tuning.STAYS * at.unit * _straight(sd))
 
     def eta_tolerance(self) -> FloatArray:
         """Return by how much constants (c,) may be off where the model is linearised."""
@@ -293,7 +309,7 @@ class Lineariser:
     def _length(self, at: Linearised, step: FloatArray, sd: FloatArray) -> float:
         """Length of a step (q,) of sd (q,); of one that would be cut short infinite."""
         held = (at.theta <= self.rig.lower) & (step < 0)
-        lengths = np.abs(step) / np.maximum(sd, np.sqrt(tuning.CURVATURE * sd))
+        lengths = np.abs(step) / _straight(sd)
         lengths[np.abs(step) > tuning.LONGEST_STEP] = np.inf
         return float(np.max(lengths, where=~held, initial=0.0))
 
@@ -448,6 +464,11 @@ class Lineariser:
         spreads = [np.diag((share * sheet) ** 2) for share in (0.1 * tuning.AS_CONFIGURED, 1.0)]
         ridges = [self.ridge(at.regression.layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
         return np.array(ridges)
+
+
+def _straight(sd: FloatArray) -> FloatArray:
+    """Return deviations (q,) within which a model is straight for estimates of sd (q,)."""
+    return np.maximum(sd, np.sqrt(tuning.CURVATURE * sd))
 
 
 def _sd_of(layout: Layout, gram: FloatArray, priors: FloatArray) -> FloatArray:

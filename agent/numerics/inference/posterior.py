@@ -24,17 +24,32 @@ class Footing:
     sensitivity: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a window was linearised.
+
+    Attributes:
+        theta, eta: (q,), (c,) the point.
+        reach: (q,) deviations within which the next window is linearised there too.
+    """
+
+    theta: FloatArray
+    eta: FloatArray
+    reach: FloatArray
+
+
 @dataclass(frozen=True)
 class Knowledge:
     """What is carried from window to window.
 
     Attributes:
-        theta: (q,) where the model is linearised;  eta: (c,) likewise for the constants.
+        theta: (q,) the parameters, about which the model is linearised;  eta: (c,) likewise the constants.
         footing: what that point rests on; None of a point that is given.
         noise, constants, scatter: what has been learnt.
         kept: bins kept with all columns; 0 until a window has shown how many are needed;  kept_for: the noise
             then.
         unexplained: the newest window was not explained by the noise known before.
+        place: where the newest window was linearised; None before the first.
     """
 
     theta: FloatArray
@@ -46,6 +61,7 @@ class Knowledge:
     kept_for: Noise | None = None
     unexplained: bool = False
     footing: Footing | None = None
+    place: Place | None = None
 
 
 @dataclass(frozen=True)

@@ -40,41 +40,45 @@ class Belief:
 
 @dataclass(frozen=True, slots=True)
 class _Statements:
-    """All that hypotheses say of constants, (n,) statements; the same may be said beside several others.
+    """All that hypotheses say of constants, (n,) statements; one of (s,) may be said beside several others.
 
     Attributes:
-        row: (n,) hypothesis.
+        row: (n,) hypothesis;  same: (n,) which of (s,) it says, those of each in a row.
         share: (n, c) of the mean of what is off that each constant has.
         drifts, relative: (n,) whether it drifts; whether it is a share and not samples.
         least: (n,) below which it is not worth a word.
-        places: name, whether it drifts and kind of what is said, and the places where it is.
+        each: (s,) name, whether it drifts and kind of what is said;  starts: (s,) the first place of each.
     """
 
     row: IntArray
+    same: IntArray
     share: FloatArray
     drifts: BoolArray
     relative: BoolArray
     least: FloatArray
-    places: tuple[tuple[str, bool, str, IntArray], ...]
+    each: tuple[tuple[str, bool, str], ...]
+    starts: IntArray
 
 
 @lru_cache(maxsize=128)
 def _statements(hypotheses: tuple[Hypothesis, ...], of: tuple[Constant, ...]) -> _Statements:
     """Return what hypotheses say of constants (c,), made once for each rig."""
-    said = [(row, *what) for row, h in enumerate(hypotheses) for what in h.named]
-    members = np.array([each for _, _, each, _ in said]).reshape(len(said), len(of))
+    ways: dict[tuple[str, bool, str], list[tuple[int, FloatArray]]] = {}
+    for row, hypothesis in enumerate(hypotheses):
+        for name, members, drifts in hypothesis.named:
+            ways.setdefault((name, drifts, of[int(members.argmax())].kind), []).append((row, members))
+    said = [(i, row, members) for i, group in enumerate(ways.values()) for row, members in group]
+    same = np.array([i for i, *_ in said], dtype=np.int64)
+    members = np.array([each for *_, each in said]).reshape(len(said), len(of))
     first = [of[i] for i in members.argmax(axis=1).tolist()] if said else []
-    places: dict[tuple[str, bool, str], list[int]] = {}
-    for place, (_, name, _, drifting) in enumerate(said):
-        places.setdefault((name, drifting, first[place].kind), []).append(place)
+    drifting = np.array([drifts for _, drifts, _ in ways], dtype=bool)
     return _Statements(
-        np.array([row for row, *_ in said], dtype=np.int64),
+        np.array([row for _, row, _ in said], dtype=np.int64), same,
         members / members.sum(axis=1, keepdims=True),
-        np.array([each for *_, each in said], dtype=bool),
-        np.array([one.kind != "delay" for one in first], dtype=bool),
+        drifting[same], np.array([one.kind != "delay" for one in first], dtype=bool),
         tuning.WORTH_NAMING * np.array([one.sheet for one in first]),
-        tuple((*what, np.array(at)) for what, at in places.items()),
-    )
+        tuple(ways), np.searchsorted(same, np.arange(len(ways))),
+    )  # fmt: skip
 
 
 def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
@@ -91,12 +95,7 @@ def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
     spread = np.maximum(sd, 1e-300)
     larger = ndtr((-said.least - size) / spread) + ndtr((size - said.least) / spread)
     probability = constants.weight[said.row] * np.where(said.drifts, larger, 1.0)
-    return tuple(
-        _shared([
-            _together(name, drifting, kind, probability[at], size[at], sd[at])
-            for name, drifting, kind, at in said.places
-        ])
-    )  # fmt: skip
+    return tuple(_shared(_together(said, probability, size, sd)))
 
 
 def _shared(found: list[Belief]) -> list[Belief]:
@@ -115,11 +114,16 @@ def _shared(found: list[Belief]) -> list[Belief]:
 
 
 def _together(
-    name: str, drifts: bool, kind: str, probability: FloatArray, size: FloatArray, sd: FloatArray
-) -> Belief:
-    """Ways (n,) in which the same may be off, as one: probability, and mean and sd of their mixture."""
-    total = float(probability.sum())
-    share = probability / total if total > 0 else np.full(len(size), 1 / len(size))
-    mean = float(share @ size)
-    variance = float(share @ (sd**2 + (size - mean) ** 2))
-    return Belief(name, drifts, kind, total, mean, variance**0.5)
+    said: _Statements, probability: FloatArray, size: FloatArray, sd: FloatArray
+) -> list[Belief]:
+    """Ways (n,) in which the same may be off, each as one: probability, and mean and sd of their mixture."""
+    if not len(said.starts):
+        return []
+    total = np.add.reduceat(probability, said.starts)
+    count = np.add.reduceat(np.ones(len(size)), said.starts)[said.same]
+    whole = total[said.same]
+    share = np.where(whole > 0, probability / np.where(whole > 0, whole, 1.0), 1 / count)
+    mean = np.add.reduceat(share * size, said.starts)
+    variance = np.add.reduceat(share * (sd**2 + (size - mean[said.same]) ** 2), said.starts)
+    numbers = zip(total.tolist(), mean.tolist(), np.sqrt(variance).tolist(), strict=True)
+    return [Belief(*what, *how) for what, how in zip(said.each, numbers, strict=True)]

@@ -7,6 +7,7 @@ the paper's (20).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -83,7 +84,7 @@ class MassSpringDamper:
             weightless = np.where(self._is_mass, self.nominal, 0.0)
             object.__setattr__(self, "_affine", self._assembled(weightless))
 
-    @property
+    @cached_property
     def _is_mass(self) -> BoolArray:
         """(q,) which parameters are masses."""
         masses = {m.name for m in self.structure.masses}
@@ -94,6 +95,16 @@ class MassSpringDamper:
         return {m.name: m.value for m in s.masses} | {
             e.name: e.nominal for e in (*s.springs, *s.dampers, *s.frictions)
         }
+
+    @cached_property
+    def _divided(self) -> list[tuple[int, list[int], list[int]]]:
+        """Masses among the parameters, with the states and the outputs whose rows each divides."""
+        found = []
+        for i in np.flatnonzero(self._is_mass).tolist():
+            name = self.parameters[i]
+            sensed = [o for o, output in enumerate(self.outputs) if self._accelerates(output, name)]
+            found.append((i, [self.state_names.index(f"velocity of {name}")], sensed))
+        return found
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -131,23 +142,16 @@ class MassSpringDamper:
     def _weighed(self, at: StateSpace, theta: FloatArray) -> StateSpace:
         """Put theta's masses in place of the nominal ones: a mass divides its row, and what senses it."""
         dA, dB, dC, dD = at.dA.copy(), at.dB.copy(), at.dC.copy(), at.dD.copy()
-        names = self.state_names
-        for i in np.flatnonzero(self._is_mass).tolist():
-            row = names.index(f"velocity of {self.parameters[i]}")
-            mass = theta[i]
-            sensed = [
-                o for o, output in enumerate(self.outputs) if self._accelerates(output, self.parameters[i])
-            ]
+        for i, moved, sensed in self._divided:
+            lighter = self.nominal[i] / theta[i]
             for matrix, slope, rows in (
-                (at.A, dA, [row]),
-                (at.B, dB, [row]),
-                (at.C, dC, sensed),
-                (at.D, dD, sensed),
-            ):
-                matrix[rows] *= self.nominal[i] / mass
-                slope[:, rows] *= self.nominal[i] / mass
+                (at.A, dA, moved), (at.B, dB, moved), (at.C, dC, sensed), (at.D, dD, sensed),
+            ):  # fmt: skip
                 slope[i] = 0.0
-                slope[i, rows] = -matrix[rows] / mass
+                for row in rows:
+                    matrix[row] *= lighter
+                    slope[:, row] *= lighter
+                    slope[i, row] = -matrix[row] / theta[i]
         return StateSpace(at.A, at.B, at.C, at.D, dA, dB, dC, dD)
 
     @staticmethod

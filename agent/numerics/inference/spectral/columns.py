@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -263,8 +264,9 @@ class Regressor:
         at, W, n = self.response.at, self.response.bins.window, self.response.at.n
         # the state beside its running sum
         A = np.block([[at.A, np.zeros((n, n))], [np.eye(n), np.eye(n)]])
-        forced = _edge_states(A, np.pad(u @ at.B.T, ((0, 0), (0, n))), edges)[:, n:]
-        powers = np.array([np.linalg.matrix_power(A, int(edge))[n:, :n] for edge in edges])
+        power = partial(np.linalg.matrix_power, A)
+        forced = _edge_states(A, np.pad(u @ at.B.T, ((0, 0), (0, n))), edges, power)[:, n:]
+        powers = np.array([power(edge)[n:, :n] for edge in edges.tolist()])
         sums = forced + powers @ x0
         wanted = y_mean / self.output_gain - at.C @ sums[-1] / np.sqrt(W) - at.D @ u_mean
         still = self.response.still
@@ -273,7 +275,8 @@ class Regressor:
 
     def _forced(self, u: FloatArray, edges: IntArray) -> FloatArray:
         """(len(edges), n) states at the edges when started from zero."""
-        return _edge_states(self.response.at.A, u @ self.response.at.B.T, edges)
+        at = self.response.at
+        return _edge_states(at.A, u @ at.B.T, edges, self.response.power)
 
     def _ends(self) -> ComplexArray:
         kept = self.response.bins.kept
@@ -308,7 +311,7 @@ class Regressor:
         return out
 
     def _parameters(self, X: ComplexArray, U: ComplexArray) -> list[ComplexArray]:
-        columns = self.response.columns(X, U) * self.output_gain[:, None]
+        columns = self.response.columns(X[:, None], U[:, None]) * self.output_gain[:, None]
         return [columns[..., : self.rig.q], columns[..., self.rig.q :]]
 
     def _constants(self, modelled: ComplexArray, X: ComplexArray, U: ComplexArray) -> ComplexArray:
@@ -343,37 +346,41 @@ class Regressor:
             return []
         response, at, W = self.response, self.response.at, self.response.bins.window
         z, kept = response.z[: response.bins.kept], response.bins.kept
-        states = [forced[i] + np.linalg.matrix_power(at.A, int(edge)) @ x0 for i, edge in enumerate(edges)]
-        later = np.concatenate([u * (np.arange(W) >= cut)[:, None] for cut in cuts], axis=1)
-        spectra = unitary(later)[:kept].reshape(kept, len(cuts), u.shape[1])
-        out = []
-        for i, cut in enumerate(cuts):
-            U = spectra[:, i]
-            ends = (z ** (1 - int(cut)))[:, None] * states[i + 1] - z[:, None] * states[-1]
-            X = np.einsum("kij,kj->ki", response.R, U @ at.B.T + ends / np.sqrt(W))
-            if response.is_free:
-                X[0] = (sums[-1] - sums[i + 1]) / np.sqrt(W)
-            out.append(response.columns(X, U)[..., : self.rig.q] * self.output_gain[:, None])
-        return out
+        free = [x0]
+        for length in np.diff(edges).tolist():
+            free.append(response.power(length) @ free[-1])
+        states = forced + free
+        later = np.zeros((W, len(cuts), u.shape[1]))
+        for i, cut in enumerate(cuts.tolist()):
+            later[cut:, i] = u[cut:]
+        U = unitary(later)[:kept]
+        turned = np.exp(1j * np.outer(np.angle(z), 1 - cuts))
+        ends = turned[:, :, None] * states[1:-1] - z[:, None, None] * states[-1]
+        X = (U @ at.B.T + ends / np.sqrt(W)) @ response.R.transpose(0, 2, 1)
+        if response.is_free:
+            X[0] = (sums[-1] - sums[1:-1]) / np.sqrt(W)
+        columns = response.columns(X, U) * self.output_gain[:, None]
+        each = columns.reshape(*columns.shape[:2], len(cuts), -1)[..., : self.rig.q]
+        return [each.reshape(*columns.shape[:2], -1)]
 
     def _high(self, fu: ComplexArray, x0: FloatArray, end: FloatArray) -> ComplexArray:
         """The readings (h, p) modelled on the high bins at the same trajectory."""
         bins = self.response.bins
         if not bins.groups:
             return np.zeros((0, len(self.output_gain)), dtype=complex)
-        HU, zCR, closing = self.response.high
-        modelled = np.einsum("kpm,km->kp", HU, fu[bins.high]) + zCR @ (closing @ x0 - end)
-        return np.asarray(modelled * self.output_gain)
+        return np.asarray(self.response.above(fu[bins.high], x0, end) * self.output_gain)
 
 
-def _edge_states(A: FloatArray, w: FloatArray, edges: IntArray) -> FloatArray:
-    """States (len(edges), n) of x(k+1) = A x + w(k) at the edges when started from zero."""
+def _edge_states(
+    A: FloatArray, w: FloatArray, edges: IntArray, power: Callable[[int], FloatArray]
+) -> FloatArray:
+    """States (len(edges), n) of x(k+1) = A x + w(k) at the edges when started from zero; power: of A."""
     lengths = np.diff(edges)
     padded = np.zeros((len(lengths), lengths.max(), len(A)))
     for i, (start, stop) in enumerate(pairwise(edges.tolist())):
         padded[i, len(padded[i]) - (stop - start) :] = w[start:stop]
     ends = end_states(A, padded)
     states = [np.zeros(len(A))]
-    for length, end in zip(lengths, ends, strict=True):
-        states.append(np.linalg.matrix_power(A, int(length)) @ states[-1] + end)
+    for length, end in zip(lengths.tolist(), ends, strict=True):
+        states.append(power(length) @ states[-1] + end)
     return np.array(states)

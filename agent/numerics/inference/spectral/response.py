@@ -59,7 +59,8 @@ class Response:
 
     def __init__(self, at: Sampled, bins: Bins) -> None:
         self.at, self.bins, n, kept = at, bins, at.n, bins.kept
-        self.AW = np.linalg.matrix_power(at.A, bins.window)
+        self._powers: dict[int, FloatArray] = {}
+        self.AW = self.power(bins.window)
         left, sizes, right = singular(np.eye(n) - self.AW)
         held = sizes > FREE_SHARE * sizes[0]
         self.left, self.starts, self.still = left[:, ~held].T, right[held].T, right[~held].T
@@ -91,11 +92,14 @@ class Response:
         self._derivatives = np.ascontiguousarray(stacked.reshape(k * (n + len(at.C)), n + width).T)
 
     def columns(self, x: ComplexArray, u: ComplexArray) -> ComplexArray:
-        """Return dy by each parameter and log mass (kept, p, k), modulo Γ, from DFTs of states and inputs."""
+        """Return dy by each parameter and log mass (kept, p, t k), modulo Γ, of t trajectories in turn.
+
+        x (kept, t, n), u (kept, t, m): DFTs of their states and inputs.
+        """
         n = self.at.n
         p = len(self.at.C)
-        k = len(self.at.dA)
-        change = (np.concatenate([x, u], axis=1) @ self._derivatives).reshape(len(x), k, n + p)
+        k = x.shape[1] * len(self.at.dA)
+        change = (np.concatenate([x, u], axis=2) @ self._derivatives).reshape(len(x), k, n + p)
         found = self.CR @ change[:, :, :n].transpose(0, 2, 1) + change[:, :, n:].transpose(0, 2, 1)
         return np.asarray(self._closed(found, change[0, :, :n].T.real))
 
@@ -125,20 +129,36 @@ class Response:
         gain = (self.left @ self.at.E) ** 2
         return np.asarray(power @ gain.T * self.gamma_scale[len(self.gamma_scale) - len(self.left) :] ** 2)
 
+    def above(self, u: ComplexArray, start: FloatArray, forced: FloatArray) -> ComplexArray:
+        """Return outputs (h, p) on the high bins of measured inputs (h, m) and slopes.
+
+        start (n,): the state that the window begins with;  forced (n,): where it would end from rest.
+        """
+        at, z = self.at, self.bins.z_high
+        closing = (start - self.AW @ start - forced) / np.sqrt(self.bins.window)
+        pushed = u @ at.B.T + z[:, None] * closing
+        if self._modal is None:
+            states = np.linalg.solve(z[:, None, None] * np.eye(at.n) - at.A, pushed[..., None])[..., 0]
+            return np.asarray(states @ at.C.T + u @ at.D.T)
+        into, gain, out = self._modal
+        return np.asarray((pushed @ into * gain) @ out + u @ at.D.T)
+
     @cached_property
-    def high(self) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """On the high bins: response to measured inputs (h, p, m), z C R/√W (h, p, n), and I − A^W."""
-        z = self.bins.z_high
-        CR = observed_resolvent(self.at, z)
-        HU = CR @ self.at.B + self.at.D
-        return HU, z[:, None, None] * CR / np.sqrt(self.bins.window), np.eye(self.at.n) - self.AW
+    def _modal(self) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
+        """Forces on the modes (n, n), their resolvents on the high bins (h, n), and outputs by them (n, p).
 
+        None where A cannot be diagonalised well.
+        """
+        poles, V = np.linalg.eig(self.at.A)
+        if np.linalg.cond(V) >= 1e7:
+            return None
+        apart = self.bins.z_high[:, None] - poles
+        gain: ComplexArray = np.asarray(1.0 / np.where(np.abs(apart) < ON_A_POLE, np.inf, apart))
+        return np.asarray(np.linalg.inv(V).T), gain, np.asarray((self.at.C @ V).T)
 
-def observed_resolvent(at: Sampled, z: ComplexArray) -> ComplexArray:
-    """Return C (zI − A)⁻¹ for many z: modal where A can be diagonalised well, else by inverses."""
-    poles, V = np.linalg.eig(at.A)
-    if np.linalg.cond(V) < 1e7:
-        near = np.abs(z[:, None] - poles)
-        gain = 1.0 / np.where(near < ON_A_POLE, np.inf, z[:, None] - poles)
-        return np.asarray(((at.C @ V)[None] * gain[:, None, :]) @ np.linalg.inv(V))
-    return np.asarray(at.C @ np.linalg.inv(z[:, None, None] * np.eye(at.n) - at.A))
+    def power(self, samples: int) -> FloatArray:
+        """Return A^samples (n, n); each is worked out once."""
+        if samples not in self._powers:
+            self._powers[samples] = np.linalg.matrix_power(self.at.A, samples)
+        return self._powers[samples]
+

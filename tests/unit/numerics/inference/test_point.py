@@ -1,5 +1,7 @@
 """Where windows are linearised and compared: at the constants that data ask for."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from agent.numerics.inference.posterior import shifted
@@ -65,3 +67,38 @@ def test_a_point_moves_with_the_constants_as_the_windows_that_it_rests_on() -> N
     expected = np.linalg.solve(total, 0.75 * known.footing.information @ first + alone.information @ own)
     np.testing.assert_allclose(pooled.information, total)
     np.testing.assert_allclose(pooled.sensitivity, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_point_stays_while_windows_say_the_same_and_they_say_what_they_say_elsewhere() -> None:
+    rng = np.random.default_rng(8)
+    learner, anew = learner_of(RIG, WINDOW), learner_of(RIG, WINDOW)
+    known = moving = learner.prior(NOISE.sigma, np.full(2, 0.3))
+    places = []
+    for _ in range(WINDOWS):
+        window, *_ = record(RIG, rng, NOISE, WINDOW, force=1.0, off=1.0)
+        said, known = learner.learn(window, known)
+        there, moving = anew.learn(window, replace(moving, place=None))
+        places.append(known.place.theta)
+        assert np.all(np.abs(said.theta - there.theta) < 0.02 * said.sd)
+        np.testing.assert_allclose(said.sd_repeat, there.sd_repeat, rtol=0.01)
+    assert len(np.unique(places, axis=0)) < WINDOWS // 2
+
+
+def test_a_point_moves_where_what_is_known_did() -> None:
+    rng = np.random.default_rng(9)
+    learner = learner_of(RIG, WINDOW)
+    known = learner.prior(NOISE.sigma, np.full(2, 0.3))
+    for _ in range(3):
+        known = learner.learn(record(RIG, rng, NOISE, WINDOW, force=1.0, off=1.0)[0], known)[1]
+    near, placed = known.place, learner.lineariser.placed
+    at = replace(known, theta=near.theta + 0.9 * near.reach, eta=near.eta)
+    np.testing.assert_array_equal(placed(at).theta, near.theta)
+    one = np.zeros(len(near.theta))
+    for i in range(len(one)):
+        one[:] = 0.0
+        one[i] = 1.1 * near.reach[i]
+        away = replace(at, theta=near.theta + one)
+        assert placed(away) is away
+    tolerance = learner.lineariser.eta_tolerance()
+    other = replace(at, theta=near.theta, eta=near.eta + 0.3 * tolerance)
+    assert placed(other) is other

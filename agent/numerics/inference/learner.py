@@ -473,7 +473,7 @@ class Learner:
         L = np.linalg.cholesky(at.Si[:kept])
         used = (at.cells.weight[:kept] > 0)[:, None, None]
         whitened = used * (L.conj().transpose(0, 2, 1) @ at.regression.X)
-        low = float(at.cells.gram(at.Si, at.regression.X)[-1, -1])
+        low = float(at.cells.gram(at.Si, at.regression.X[..., -1:])[0, 0])
         blocks = block_grams(whitened, self.window, max(0.0, float(at.G[-1, -1]) - low))
         return block_ratio(blocks, at.ridge.R, at.ridge.b, layout.psi)
 

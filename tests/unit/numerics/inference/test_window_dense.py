@@ -83,8 +83,10 @@ def test_inference_window_is_dense_generalised_least_squares(name: str, forces: 
 
 
 @pytest.mark.parametrize(
-    ("kind", "which"), [("force", 0), ("force", 1), ("sensor", 0), ("sensor", 1), ("sensor", 2)]
-)
+    ("kind", "which"),
+    [("force", 0), ("sensor", 0), ("sensor", 2),
+     *(pytest.param(*more, marks=pytest.mark.soak) for more in (("force", 1), ("sensor", 1)))],
+)  # fmt: skip
 def test_inference_colours_differ_from_dense_by_their_ends_only(kind: str, which: int) -> None:
     rig, samples = ChainRig(), 520
     learner = learner_of(rig, samples)

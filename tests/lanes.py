@@ -26,11 +26,11 @@ NICE = 10
 
 class Lanes(LoadScopeScheduling):
     """Tests that hold a pace on the wall clock, one after another; beside them, one after another, what has
-    none; and what computes, while the two wait."""
+    none; and file by file what computes, while the two wait and wherever one has ended."""
 
     def _split_scope(self, nodeid: str) -> str:
         if computes(nodeid):
-            return "background"
+            return nodeid.partition("::")[0]
         return "beside" if nodeid.startswith(BESIDE) else "pace"
 
 

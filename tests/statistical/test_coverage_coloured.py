@@ -15,8 +15,6 @@ QUICK = {
     "16 bits": 8,
     "16 bits, recorded": 8,
     "200 us of jitter": 5,
-    "200 us of jitter above all": 5,
-    "200 us of jitter beside a stated noise": 5,
 }
 """Runs of each case where time is short."""
 

@@ -6,7 +6,7 @@ import pytest
 from tests.statistical.detection import WITHIN, Verdict, verdict
 from tests.statistical.machine import each, say
 
-QUICK, FULL = 20, 500
+QUICK, FULL = 12, 500
 
 
 def summary(found: list[Verdict]) -> tuple[float, float, str]:

@@ -26,7 +26,9 @@ BEHIND = 0.06
 """Share of rows by which the product, which has to learn the spectrum, may stay behind what is given it."""
 
 
-@pytest.mark.parametrize("name", ["AR(0.95) sensors", "AR(0.99) 0.05 N"])
+@pytest.mark.parametrize(
+    "name", ["AR(0.95) sensors", pytest.param("AR(0.99) 0.05 N", marks=pytest.mark.soak)]
+)
 def test_oracle_bound_is_what_least_squares_with_the_true_noise_scatter_by(name: str) -> None:
     windows = 60
     made = recording(name, 3, windows)

@@ -108,7 +108,10 @@ def test_wrong_graph_is_refused_by_name(tmp_path: Path, seed: int) -> None:
             ["x1", "x2", "x3", "x4"], 1e3, "; or x1, x2, x3, x4 in mm where the file says m: correct",
             marks=pytest.mark.soak,
         ),
-        (["f4"], 1 / 9.80665, "it fits with f4 in kgf where the file says N: correct"),
+        pytest.param(
+            ["f4"], 1 / 9.80665, "it fits with f4 in kgf where the file says N: correct",
+            marks=pytest.mark.soak,
+        ),
     ],
 )
 def test_channels_in_another_unit_are_named_with_it(

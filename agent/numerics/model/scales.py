@@ -42,13 +42,14 @@ def scales_of(
     A, B, C, D = base
     unit = (np.zeros_like(A), B, -C, np.zeros_like(D))
     columns = np.column_stack([_flat(each) for each in (*parameters, unit)])
+    by_constant = [_flat(each) for each in constants]
     found: list[FloatArray] = []
     moved: list[FloatArray] = []
     for signs in SIGNS:
         which = np.array([signs.get(kind, 0.0) for kind in kinds])
         if not which.any():
             continue
-        given = _flat(combined(constants, which))
+        given = which @ np.array(by_constant)
         size = np.maximum(np.abs(columns).max(axis=1), np.abs(given))
         size = np.where(size > 0, size, 1.0)
         answer = -np.linalg.lstsq(columns / size[:, None], given / size, rcond=SAME)[0]

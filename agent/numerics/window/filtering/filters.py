@@ -15,14 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from agent.numerics.model.riccati import Predictor
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.filtering.course import Course, powers_of
 from agent.numerics.window.filtering.hops import HopPlan, divide
 from agent.numerics.window.filtering.noise import Realisation
-from agent.numerics.window.filtering.products import row_products
+from agent.numerics.window.filtering.products import carried, row_products
 from agent.types import FloatArray
 
 
@@ -66,7 +65,9 @@ def filter_system(model: StateSpace, real: Realisation, predictor: Predictor) ->
     W = whitening(predictor)
     Phi = real.A[:a, :a] - K @ C
     dims = Sizes(*size)
-    F = block_diag(Phi, model.A, *[Phi] * c)
+    F = np.zeros((dims.z, dims.z))
+    F[:a, :a], F[a : a + n, a : a + n] = Phi, model.A
+    F[a + n :, a + n :] = np.kron(np.eye(c), Phi)
     N = np.zeros((dims.z, p + m))
     N[:a] = np.hstack([K, _padded(model.B, a) - K @ model.D])
     N[a : a + n, p:] = model.B
@@ -193,17 +194,11 @@ def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:
     longest = max(lengths)
     nz = system.size.z
     rows = system.H.reshape(-1, nz)
-    free = np.empty((longest, *system.H.shape))  # H F^k
-    forced = np.empty((longest, *system.N.shape))  # F^k N
-    powers: dict[int, FloatArray] = {}  # of the lengths alone: all would take megabytes
-    power = np.eye(nz)
-    for k in range(longest):
-        free[k] = (rows @ power).reshape(system.H.shape)
-        forced[k] = power @ system.N
-        power = system.F @ power
-        if k + 1 in lengths:
-            powers[k + 1] = power
-    markov = np.concatenate([system.J[None], np.einsum("ipz,kzw->kipw", system.H, forced[: longest - 1])])
+    free = carried(rows.T, system.F.T, longest).transpose(0, 2, 1).reshape(longest, *system.H.shape)  # H F^k
+    forced = carried(system.N, system.F, longest)  # F^k N
+    powers = {length: np.linalg.matrix_power(system.F, length) for length in set(lengths)}
+    later = (rows @ forced[: longest - 1]).reshape(-1, *system.J.shape)
+    markov = np.concatenate([system.J[None], later])
     impulse = np.zeros((*system.J.shape[:1], longest, system.size.p, longest, system.J.shape[-1]))
     for k in range(longest):
         impulse[:, k, :, : k + 1] = markov[k::-1].transpose(1, 2, 0, 3)

@@ -141,7 +141,7 @@ def trial(
 
 
 @pytest.mark.parametrize(
-    "count", [120, pytest.param(20_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
+    "count", [60, pytest.param(20_000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)])]
 )
 def test_start_on_damaged_copies_finds_the_damage_and_serves_nothing_false(
     whole: Path, memory: Path, rng: np.random.Generator, count: int

@@ -128,10 +128,11 @@ def test_kill_of_the_writer_at_any_moment_loses_nothing_acknowledged(
     assert acknowledged > kills
 
 
+@pytest.mark.parametrize("kills", [10, pytest.param(100, marks=pytest.mark.soak)])
 def test_kill_during_the_first_start_leaves_a_file_that_opens(
-    nursery: Nursery, memory: Path, rng: np.random.Generator
+    nursery: Nursery, memory: Path, rng: np.random.Generator, kills: int
 ) -> None:
-    for number in range(25):
+    for number in range(kills):
         path = memory / f"rig-{number}.db"
         pid = nursery.begin(path, "live", lambda reported: len(reported) > 0)
         nursery.read(lambda _: False, float(rng.uniform(0.0, 0.04)))

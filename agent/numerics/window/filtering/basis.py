@@ -22,7 +22,7 @@ from agent.numerics.window.tuning import NEGLIGIBLE
 from agent.types import FloatArray
 
 
-class Doubled:
+class HopFactors:
     """Triangular factors of what moves by `step` each hop, over 1, 2, 4 .. hops, each worked out once.
 
     Args:
@@ -75,7 +75,7 @@ class Basis:
     gamma: FloatArray
     drift: FloatArray
     head: FloatArray
-    hops: Doubled
+    hops: HopFactors
     plan: HopPlan
 
     def factor(self, fulls: int) -> FloatArray:
@@ -95,7 +95,7 @@ def balanced_basis(
 ) -> Basis:
     """Return the balanced coordinates for windows up to `longest` whole hops and a head."""
     G, over = _free_responses(system, real, predictor, plan.hop)
-    factor, _ = Doubled(_triangle(G), np.linalg.matrix_power(over, plan.hop)).over(longest + 1)
+    factor, _ = HopFactors(_triangle(G), np.linalg.matrix_power(over, plan.hop)).over(longest + 1)
     scale = np.linalg.norm(factor, axis=0)
     scale[scale == 0] = 1.0
     s, Vt = leading(factor / scale, NEGLIGIBLE)
@@ -109,7 +109,7 @@ def balanced_basis(
     drift = to_balanced[:, n_g:].reshape(r, size.c, size.n).transpose(1, 0, 2)
     U = np.ascontiguousarray(G @ from_balanced)
     of_head = _triangle(U[: plan.head * size.p])
-    hops = Doubled(_triangle(U), hop)
+    hops = HopFactors(_triangle(U), hop)
     return Basis(U, (head, rest, hop), to_balanced[:, :n_g], drift, of_head, hops, plan)
 
 

@@ -120,9 +120,8 @@ def _together(
     if not len(said.starts):
         return []
     total = np.add.reduceat(probability, said.starts)
-    count = np.add.reduceat(np.ones(len(size)), said.starts)[said.same]
     whole = total[said.same]
-    share = np.where(whole > 0, probability / np.where(whole > 0, whole, 1.0), 1 / count)
+    share = probability / np.where(whole > 0, whole, 1.0)
     mean = np.add.reduceat(share * size, said.starts)
     variance = np.add.reduceat(share * (sd**2 + (size - mean[said.same]) ** 2), said.starts)
     numbers = zip(total.tolist(), mean.tolist(), np.sqrt(variance).tolist(), strict=True)

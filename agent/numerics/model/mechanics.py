@@ -147,7 +147,6 @@ class MassSpringDamper:
             for matrix, slope, rows in (
                 (at.A, dA, moved), (at.B, dB, moved), (at.C, dC, sensed), (at.D, dD, sensed),
             ):  # fmt: skip
-                slope[i] = 0.0
                 for row in rows:
                     matrix[row] *= lighter
                     slope[:, row] *= lighter

@@ -6,6 +6,7 @@ import numpy as np
 
 from agent.numerics.inference.posterior import shifted
 from agent.numerics.inference.spectral.columns import window_of
+from agent.numerics.model.uncertain import delays_of
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import learner_of, record
 
@@ -79,6 +80,8 @@ def test_a_point_stays_while_windows_say_the_same_and_they_say_what_they_say_els
         said, known = learner.learn(window, known)
         there, moving = anew.learn(window, replace(moving, place=None))
         places.append(known.place.theta)
+        model, masses = learner.lineariser._response.at, RIG.count
+        assert model.is_at(known.place.theta, known.place.eta[:masses], delays_of(RIG.rig, known.place.eta))
         assert np.all(np.abs(said.theta - there.theta) < 0.02 * said.sd)
         np.testing.assert_allclose(said.sd_repeat, there.sd_repeat, rtol=0.01)
     assert len(np.unique(places, axis=0)) < WINDOWS // 2
@@ -102,3 +105,10 @@ def test_a_point_moves_where_what_is_known_did() -> None:
     tolerance = learner.lineariser.eta_tolerance()
     other = replace(at, theta=near.theta, eta=near.eta + 0.3 * tolerance)
     assert placed(other) is other
+    # constants that move take the parameters with them
+    eta = near.eta + 0.2 * tolerance
+    moved = np.abs(at.footing.sensitivity @ (eta - near.eta)) / near.reach
+    footing = replace(at.footing, sensitivity=3.0 / moved.max() * at.footing.sensitivity)
+    along = shifted(near.theta, footing.sensitivity @ (eta - near.eta))
+    assert np.any(np.abs(along - near.theta) > 2.5 * near.reach)
+    np.testing.assert_array_equal(placed(replace(at, theta=along, eta=eta, footing=footing)).eta, near.eta)

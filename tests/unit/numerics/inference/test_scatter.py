@@ -1,9 +1,12 @@
 """The jackknife divided by its own expectation, and the scatter between windows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import gammaln
 
+from agent.numerics.inference import learner as learning
 from agent.numerics.inference import tuning
 from agent.numerics.inference.scatter import (
     Estimate,
@@ -13,6 +16,8 @@ from agent.numerics.inference.scatter import (
     by_repeats,
     expected,
 )
+from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
+from tests.unit.numerics.inference.frequency import knowledge, learner_of, linearised, record
 
 FREE = np.zeros((3, 3))
 
@@ -142,3 +147,16 @@ def test_readings_that_repeat_a_code_count_once_and_those_of_white_noise_each() 
     white = np.round(rng.standard_normal(2000))
     changes = np.array([np.count_nonzero(np.diff(white)), 99, 0])
     np.testing.assert_allclose(by_repeats(changes, 2000), [1.0, 10.0, 1000.0])
+
+
+def test_blocks_of_a_window_hold_all_of_its_power(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the high bins hold is spread over the blocks."""
+    rig, noise = ChainRig(), DenseNoise(np.full(2, 4e-4), np.zeros(2))
+    learner = learner_of(rig, 400)
+    known = knowledge(learner, noise)
+    window = record(rig, np.random.default_rng(3), noise, 400)[0]
+    at = linearised(learner, replace(known, kept=40), window)
+    given: list[np.ndarray] = []
+    monkeypatch.setattr(learning, "block_ratio", lambda blocks, *_: given.append(blocks))
+    learner._ratio(at)
+    np.testing.assert_allclose(given[0].sum(axis=0), at.G, rtol=1e-9, atol=1e-9 * np.abs(at.G).max())

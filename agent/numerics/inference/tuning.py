@@ -85,8 +85,8 @@ ALTERNATIONS = 3
 CURVATURE = 0.03
 """Linearised again where the neglected second-order term, step², exceeds this share of the sd."""
 STAYS = 0.25
-"""Share of what a model is straight within by which its point may be off before it moves: a fifth of the cost,
-for some thousandths of an sd."""
+"""Share of what a model is straight within by which its point may be off before it moves. A tenth of what
+learning costs, for some thousandths of an sd."""
 LONGEST_STEP = 0.5
 """Longest Gauss-Newton step downwards, as a share of the parameter (twice that upwards)."""
 

@@ -120,7 +120,6 @@ def scored(
     return found
 
 
-@pytest.mark.soak
 def test_cracks_with_a_prior_from_other_cracks_are_forecast_better_than_by_their_lives() -> None:
     sets = cracks()[::2]
     found = scored("cracks", sets, [49.8] * len(sets), 2, like=True)

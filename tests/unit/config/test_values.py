@@ -1,6 +1,7 @@
 """What a right file means: values, defaults, units, names that are filled in, paths."""
 
 import math
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -201,6 +202,7 @@ def test_driver_class_that_was_installed_since_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.undo()
+    monkeypatch.setattr(plugins, "_installed", cache(plugins._installed.__wrapped__))
     with pytest.raises(ConfigError, match="no driver is called"):
         driver_class("later")
     there = tmp_path / "later-1.0.dist-info"
@@ -210,5 +212,3 @@ def test_driver_class_that_was_installed_since_is_found(
     (there / "entry_points.txt").write_text(f"[{plugins.GROUP}]\n{named}\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     assert driver_class("later") is FakeDriver
-    monkeypatch.undo()
-    plugins._installed.cache_clear()

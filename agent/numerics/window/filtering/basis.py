@@ -14,10 +14,9 @@ import numpy as np
 
 from agent.numerics.model.riccati import Predictor
 from agent.numerics.model.singular import leading
-from agent.numerics.window.filtering.filters import System, whitening
+from agent.numerics.window.filtering.filters import System, carried, whitening
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import Realisation
-from agent.numerics.window.filtering.products import carried
 from agent.numerics.window.tuning import NEGLIGIBLE
 from agent.types import FloatArray
 

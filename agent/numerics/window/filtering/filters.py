@@ -21,7 +21,7 @@ from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.filtering.course import Course, powers_of
 from agent.numerics.window.filtering.hops import HopPlan, divide
 from agent.numerics.window.filtering.noise import Realisation
-from agent.numerics.window.filtering.products import carried, row_products
+from agent.numerics.window.filtering.products import row_products
 from agent.types import FloatArray
 
 
@@ -187,6 +187,18 @@ class Filters:
             z = row_products(z, cell.transition) + gained
             start = stop
         return out, z
+
+
+def carried(first: FloatArray, step: FloatArray, count: int) -> FloatArray:
+    """Return first (n, k), step first, step² first, .. as (count, n, k); step (n, n).
+
+    Where k is far less than n, squaring the step would take longer than going on one by one.
+    """
+    out = np.empty((count, *first.shape))
+    for each in out:
+        each[:] = first
+        first = step @ first
+    return out
 
 
 def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:

@@ -31,15 +31,3 @@ def _filled_up(rows: FloatArray) -> FloatArray:
     filled = np.zeros((ROWS, rows.shape[1]))
     filled[: len(rows)] = rows
     return filled
-
-
-def carried(first: FloatArray, step: FloatArray, count: int) -> FloatArray:
-    """Return first (n, k), step first, step² first, .. as (count, n, k); step (n, n).
-
-    Where k is far less than n, squaring the step would take longer than going on one by one.
-    """
-    out = np.empty((count, *first.shape))
-    for each in out:
-        each[:] = first
-        first = step @ first
-    return out

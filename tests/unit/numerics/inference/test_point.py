@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.numerics.inference import tuning
 from agent.numerics.inference.posterior import shifted
 from agent.numerics.inference.spectral.columns import window_of
 from agent.numerics.model.uncertain import delays_of
@@ -72,18 +73,19 @@ def test_a_point_moves_with_the_constants_as_the_windows_that_it_rests_on() -> N
 
 def test_a_point_stays_while_windows_say_the_same_and_they_say_what_they_say_elsewhere() -> None:
     rng = np.random.default_rng(8)
+    quiet = DenseNoise(0.1 * NOISE.sigma, np.zeros(2))
     learner, anew = learner_of(RIG, WINDOW), learner_of(RIG, WINDOW)
-    known = moving = learner.prior(NOISE.sigma, np.full(2, 0.3))
+    known = moving = learner.prior(quiet.sigma, np.full(2, 0.3))
     places = []
     for _ in range(WINDOWS):
-        window, *_ = record(RIG, rng, NOISE, WINDOW, force=1.0, off=1.0)
+        window, *_ = record(RIG, rng, quiet, WINDOW, force=1.0, off=1.0)
         said, known = learner.learn(window, known)
         there, moving = anew.learn(window, replace(moving, place=None))
         places.append(known.place.theta)
         model, masses = learner.lineariser._response.at, RIG.count
         assert model.is_at(known.place.theta, known.place.eta[:masses], delays_of(RIG.rig, known.place.eta))
-        assert np.all(np.abs(said.theta - there.theta) < 0.02 * said.sd)
-        np.testing.assert_allclose(said.sd_repeat, there.sd_repeat, rtol=0.01)
+        assert np.all(np.abs(said.theta - there.theta) < 0.002 * said.sd)
+        np.testing.assert_allclose(said.sd_repeat, there.sd_repeat, rtol=0.005)
     assert len(np.unique(places, axis=0)) < WINDOWS // 2
 
 
@@ -102,11 +104,11 @@ def test_a_point_moves_where_what_is_known_did() -> None:
         one[i] = 1.1 * near.reach[i]
         away = replace(at, theta=near.theta + one)
         assert placed(away) is away
-    tolerance = learner.lineariser.eta_tolerance()
-    other = replace(at, theta=near.theta, eta=near.eta + 0.3 * tolerance)
+    tolerance = tuning.STAYS * learner.lineariser.eta_tolerance()
+    other = replace(at, theta=near.theta, eta=near.eta + 1.2 * tolerance)
     assert placed(other) is other
     # constants that move take the parameters with them
-    eta = near.eta + 0.2 * tolerance
+    eta = near.eta + 0.8 * tolerance
     moved = np.abs(at.footing.sensitivity @ (eta - near.eta)) / near.reach
     footing = replace(at.footing, sensitivity=3.0 / moved.max() * at.footing.sensitivity)
     along = shifted(near.theta, footing.sensitivity @ (eta - near.eta))

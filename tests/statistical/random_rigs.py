@@ -406,7 +406,8 @@ PAIRS = (
     ("AR sensors", "one output"), ("force noise", "one output"), ("hum", "unknown force"),
     ("one mass", "unknown force"), ("three digits", "noise stated"), ("force noise", "one mass"),
     ("hum", "all outputs"), ("AR sensors", "one mass"), ("unknown force", "three digits"),
-    ("force noise", "hum"),
+    ("force noise", "hum"), ("gain drifts", "one mass"), ("gain drifts", "all masses"),
+    ("one output", "all masses"),
 )  # fmt: skip
 
 

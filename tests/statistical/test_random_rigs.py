@@ -30,6 +30,9 @@ QUICK = (
     (9250, ("one mass", "unknown force"), 20),
     (30035, ("all masses", "held"), 20),
     (30141, ("all masses", "hum"), 20),
+    (700040, ("gain drifts", "one mass"), 12),
+    (820002, ("gain drifts", "one mass"), 6),
+    (700203, ("hum", "all masses"), 4),
     (15004, ("data sheets",), 8),
     (15007, ("data sheets",), 8),
 )
@@ -39,7 +42,9 @@ are larger than what either leaves open, of 8231 a table's step is tenfold at th
 conquer finds no singular values of a factor of the bank's, of 9103 forces leak with the hum, of 9303 windows
 are rounded a hundred times as coarsely as others, of 9127 belief slides to what is configured after fifteen,
 of 9250 no window comes to rest under the noise of the sensors alone, of 30035 a force that is held hides what
-else is off, of 30141 readings are so precise that intervals end at what one of three explanations says."""
+else is off, of 30141 readings are so precise that intervals end at what one of three explanations says, of
+700040 a drift hides whose the rest of a scale is, of 820002 all is exact but a mass whose own sensor drifts,
+of 700203 all modes are elsewhere than configured."""
 
 
 def name_of(kinds: Iterable[str]) -> str:

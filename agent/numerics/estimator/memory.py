@@ -71,7 +71,7 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
         return None
     eta = _array(found["eta"])
     count = len(eta)
-    if count != hypotheses[0].members.size:
+    if count != len(hypotheses[0].covariance):
         return None
     constants = Constants(
         hypotheses, _array(c["weight"]), _array(c["mean"]).reshape(len(hypotheses), count),

@@ -23,42 +23,75 @@ GROUPS: tuple[tuple[Kind, str], ...] = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """One belief about the constants.
+class Off:
+    """One thing that is off.
 
     Attributes:
-        name: "as configured", "within data sheet", or what is off: "m1", "all masses".
-        members: (c,) 1 for each constant that is off together; all 0 for the others.
+        name: "m1", "all masses", "delay".
+        members: (c,) 1 for each constant that is off together, 0 for the others.
         drifts: whether it changes from window to window.
-        covariance, walk: (c, c) prior covariance and random walk a window.
-        prior: probability before any data.
-        late: (c,) 1 for the delay of inputs that are held or commanded, where that is off beside what `name`
-            says; None else.
     """
 
     name: str
     members: FloatArray
-    drifts: bool
+    drifts: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One belief about the constants.
+
+    Attributes:
+        level: "as configured" or "within data sheet": all that is not off.
+        off: what is.
+        covariance, walk: (c, c) prior covariance and random walk a window.
+        prior: probability before any data.
+        start: (c,) sds of what drifts when it begins, in `covariance` too; 0 of all else.
+    """
+
+    level: str
+    off: tuple[Off, ...]
     covariance: FloatArray
     walk: FloatArray
     prior: float
-    late: FloatArray | None = None
+    start: FloatArray
 
     @property
-    def named(self) -> tuple[tuple[str, FloatArray, bool], ...]:
-        """What is off by it: name, members (c,), and whether it drifts."""
-        here = ((self.name, self.members, self.drifts),) if self.members.any() else ()
-        return here if self.late is None else (*here, ("delay", self.late, False))
+    def name(self) -> str:
+        """What is off, or the level of all where nothing is."""
+        return " and ".join(f"{o.name} drifts" if o.drifts else o.name for o in self.off) or self.level
+
+    @property
+    def drifts(self) -> bool:
+        """Whether something changes from window to window."""
+        return any(o.drifts for o in self.off)
+
+    def with_off(self, off: Off, spread: FloatArray, odds: float) -> "Hypothesis":
+        """Return the same where something else is off besides: its variance (c, c), its prior odds."""
+        return replace(
+            self, off=(*self.off, off), covariance=self.covariance + spread, prior=odds * self.prior
+        )
+
+    def with_drift(self, off: Off, start: FloatArray, step: float, odds: float) -> "Hypothesis":
+        """Return the same where a gain drifts besides: sds (c,) when it begins, steps a window, prior odds.
+
+        What is off and drifts is one thing.
+        """
+        others = tuple(o for o in self.off if o.name != off.name)
+        walk = self.walk + step**2 * np.outer(off.members, off.members)
+        return replace(
+            self, off=(*others, off), covariance=self.covariance + np.outer(start, start), walk=walk,
+            prior=odds * self.prior, start=start,
+        )  # fmt: skip
 
 
 def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses on a rig's constants; those that no data show are within their data sheets.
 
     When inputs act says nothing of how well masses and gains are known, nor the other way round. What may be
-    off stands beside all else as configured, and beside all else within its data sheet; what drifts, beside
-    all else within three times that, too: what else is off is seen from the first window on. That a
-    force is held, or that a commanded one acts late, stands beside each of the data sheets, and beside
-    what else may be off.
+    off stands beside all else as configured, and beside all else within its data sheet; a gain that drifts
+    beside these, within three times that, and beside whatever may be off, itself too. That a force is held,
+    or that a commanded one acts late, stands beside each of the data sheets, and beside what else may be off.
     """
     timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
     apart = np.array([c.apart for c in constants], dtype=bool)
@@ -69,31 +102,44 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     timely = every[: len(factors)]
     as_stated = factors.index(1.0)
     usual = [timely[0], timely[as_stated]]
+    sets = _sets(constants)
+    each = (1 - tuning.PRIOR_HEALTHY) / max(len(sets), 1)
+    still, lasting, drifting = [], [], []
+    for off, kind in sets:
+        spread = _spread(constants, off, kind)
+        beside = timely if off.members @ apart else usual
+        still += _share_out([h.with_off(off, spread, 1.0) for h in beside], each)
+        if off.members @ apart:
+            lasting.append((off, spread, each))
+        if kind in ("output", "input"):
+            drifting.append(Off(off.name, off.members, drifts=True))
+    stills = [h for h in still if not h.off[0].members @ timed]
+    exact = [h for h in stills if h.level == timely[0].level]
     wider = [*usual, timely[as_stated + 1]]
-    seldom = np.array([1.0, tuning.PRIOR_DRIFTS_BESIDE, tuning.PRIOR_DRIFTS_BESIDE])
-    others = []
-    off = _off(constants)
-    odds = sum(_odds(walks) for *_, walks in off)
-    for name, e, spread, walks in off:
-        static = timely if e @ apart else usual
-        share = (1 - tuning.PRIOR_HEALTHY) * _odds(walks) / odds / len(walks)
-        for walk in walks:
-            beside, weight = (static, np.ones(len(static))) if walk == 0 else (wider, seldom)
-            step = walk**2 * np.outer(e, e)
-            others += [
-                Hypothesis(name, e, walk > 0, b.covariance + spread, b.walk + step, share * w)
-                for b, w in zip(beside, weight / weight.sum(), strict=True)
-            ]
-    lasting = [(e, spread) for _, e, spread, _ in off if e @ apart]
-    both = [
-        replace(
-            h, covariance=h.covariance + spread, prior=h.prior * (1 - tuning.PRIOR_HEALTHY) / odds, late=e
-        )
-        for e, spread in lasting
-        for h in others
-        if not h.members @ timed
+    odds = tuning.PRIOR_DRIFTS * each / sum(h.prior for h in (*wider, *exact))
+    drifts = _drifts(constants, drifting, [*wider, *exact], odds)
+    alone = [h for h in (*stills, *drifts) if len(h.off) == 1]
+    both = [h.with_off(*late) for late in lasting for h in alone]
+    return tuple(every + still + drifts + both)
+
+
+def _drifts(
+    constants: tuple[Constant, ...], drifting: list[Off], beside: list[Hypothesis], odds: float
+) -> list[Hypothesis]:
+    """Gains that drift beside hypotheses; where one begins it is within its data sheet beyond these."""
+    sheet = np.array([c.sheet for c in constants])
+    each = odds / len(tuning.DRIFT_WALKS)
+    return [
+        h.with_drift(off, off.members * sheet, walk, each)
+        for off in drifting
+        for walk in tuning.DRIFT_WALKS
+        for h in beside
     ]
-    return tuple(every + others + both)
+
+
+def _share_out(hypotheses: list[Hypothesis], probability: float) -> list[Hypothesis]:
+    """Return hypotheses that share a probability alike."""
+    return [replace(h, prior=probability / len(hypotheses)) for h in hypotheses]
 
 
 def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
@@ -143,7 +189,7 @@ def _healthy(constants: tuple[Constant, ...], share: FloatArray, prior: float) -
     name = "as configured" if share.max(initial=0.0) <= tuning.AS_CONFIGURED else "within data sheet"
     covariance = np.diag((np.where(shows, share, 1.0) * sheet) ** 2) + _least(sheet)
     walk = np.diag((tuning.QUIET_WALK * sheet) ** 2)
-    return Hypothesis(name, np.zeros(len(sheet)), False, covariance, walk, prior)
+    return Hypothesis(name, (), covariance, walk, prior, np.zeros(len(sheet)))
 
 
 def _least(sheet: FloatArray) -> FloatArray:
@@ -151,20 +197,12 @@ def _least(sheet: FloatArray) -> FloatArray:
     return np.diag(np.where(sheet > 0, 0.0, 1e-12))
 
 
-def _off(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, FloatArray, tuple[float, ...]]]:
-    """(name, members, prior covariance (c, c), walks a window) of all that may be off; of 0: it stays."""
-    stays = (0.0,)
-    out: list[tuple[str, FloatArray, FloatArray, tuple[float, ...]]] = []
-    along = np.diag([tuning.OFF_DELAY**2 * _comes_along(c) for c in constants])
-    for name, members, kind in _sets(constants):
-        if kind == "delay":
-            out.append((name, members, tuning.OFF_DELAY**2 * np.outer(members, members) + along, stays))
-            continue
-        spread = tuning.OFF_RELATIVE**2 * np.outer(members, members)
-        out.append((name, members, spread, stays))
-        if kind in ("output", "input"):
-            out.append((name, members, spread, tuning.DRIFT_WALKS))
-    return out
+def _spread(constants: tuple[Constant, ...], off: Off, kind: Kind) -> FloatArray:
+    """Prior covariance (c, c) of what is off."""
+    if kind != "delay":
+        return np.asarray(tuning.OFF_RELATIVE**2 * np.outer(off.members, off.members))
+    along = np.diag([float(_comes_along(c)) for c in constants])
+    return np.asarray(tuning.OFF_DELAY**2 * (np.outer(off.members, off.members) + along))
 
 
 def apart_of(constants: tuple[Constant, ...]) -> FloatArray:
@@ -174,21 +212,16 @@ def apart_of(constants: tuple[Constant, ...]) -> FloatArray:
     return np.asarray(np.eye(len(constants)) - alike / np.maximum(alike.sum(axis=1), 1)[:, None])
 
 
-def _odds(walks: tuple[float, ...]) -> float:
-    """Prior odds of something that is off with these walks, against one that stays."""
-    return tuning.PRIOR_DRIFTS if any(walks) else 1.0
-
-
-def _sets(constants: tuple[Constant, ...]) -> list[tuple[str, FloatArray, Kind]]:
-    """(name, members, kind) of each constant that may be off by itself, then of groups that may together."""
+def _sets(constants: tuple[Constant, ...]) -> list[tuple[Off, Kind]]:
+    """Each constant that may be off by itself, with its kind, then groups that may together."""
     can = np.array([c.sheet > 0 and c.shows for c in constants], dtype=bool)
     unit = np.eye(len(constants))
-    sets = [(c.name, unit[i], c.kind) for i, c in enumerate(constants) if can[i] and not _comes_along(c)]
+    sets = [(Off(c.name, unit[i]), c.kind) for i, c in enumerate(constants) if can[i] and not _comes_along(c)]
     for kind, name in GROUPS:
         alike = np.array([c.kind == kind for c in constants], dtype=bool)
         together = (can & alike).astype(float)
         if together.sum() > 1:
-            sets.append((name, together, kind))
+            sets.append((Off(name, together), kind))
     return sets
 
 
@@ -199,12 +232,22 @@ def _comes_along(constant: Constant) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Arrays:
-    """Hypotheses as arrays: prior weight (h,), covariance, walk (h, c, c), members of what drifts (h, c)."""
+    """Hypotheses as arrays: prior weight (h,), covariance, walk (h, c, c), start (h, c)."""
 
     weight: FloatArray
     covariance: FloatArray
     walk: FloatArray
-    drifting: FloatArray
+    start: FloatArray
+
+    @property
+    def drifts(self) -> BoolArray:
+        """(h,) whether something drifts."""
+        return np.asarray(self.start.any(axis=1))
+
+
+def _squares(rows: FloatArray) -> FloatArray:
+    """Return (h, c, c) products of each row (h, c) with itself."""
+    return np.asarray(rows[:, :, None] * rows[:, None, :])
 
 
 @lru_cache(maxsize=128)
@@ -213,7 +256,7 @@ def _arrays(hypotheses: tuple[Hypothesis, ...]) -> _Arrays:
     weight = np.array([h.prior for h in hypotheses])
     return _Arrays(
         weight / weight.sum(), np.array([h.covariance for h in hypotheses]),
-        np.array([h.walk for h in hypotheses]), np.array([h.drifts * h.members for h in hypotheses]),
+        np.array([h.walk for h in hypotheses]), np.array([h.start for h in hypotheses]),
     )  # fmt: skip
 
 
@@ -314,11 +357,12 @@ class Constants:
         interact: Blom & Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
         """
         first = Constants.prior(self.hypotheses)
+        start = _arrays(self.hypotheses).start
+        drifting = (start > 0).astype(float)
         mean, total = self.standing
-        drifting = _arrays(self.hypotheses).drifting
         share = drifting / np.maximum(drifting.sum(axis=1), 1.0)[:, None]
-        variance = np.einsum("hi,ij,hj->h", share, total, share) - tuning.OFF_RELATIVE**2
-        moved = variance[:, None, None] * drifting[:, :, None] * drifting[:, None, :]
+        variance = np.einsum("hi,ij,hj->h", share, total, share)[:, None, None]
+        moved = variance * _squares(drifting) - _squares(start)
         return replace(first, mean=(share @ mean)[:, None] * drifting, covariance=first.covariance + moved)
 
     def updated(self, said: Information) -> "Constants":
@@ -330,15 +374,15 @@ class Constants:
     @property
     def drift_probability(self) -> float:
         """Probability that some constant changes from window to window."""
-        return float(sum(w for w, h in zip(self.weight, self.hypotheses, strict=True) if h.drifts))
+        return float(self.weight[_arrays(self.hypotheses).drifts].sum())
 
     @property
     def slide(self) -> tuple[int, float]:
         """The constant that changes most from window to window, and by how much (sd); 0 where none does."""
         if self.drift_probability <= tuning.DRIFT_FOLLOWED:
             return 0, 0.0
-        each = [w * np.diag(h.walk) for w, h in zip(self.weight, self.hypotheses, strict=True) if h.drifts]
-        variance = np.sum(each, axis=0)
+        every = _arrays(self.hypotheses)
+        variance = self.weight[every.drifts] @ np.diagonal(every.walk[every.drifts], axis1=1, axis2=2)
         most = int(np.argmax(variance))
         return most, float(np.sqrt(variance[most]))
 
@@ -348,6 +392,6 @@ class Constants:
             sum(
                 w
                 for w, h in zip(self.weight, self.hypotheses, strict=True)
-                if name in {said for said, _, _ in h.named}
+                if name in {off.name for off in h.off}
             )
         )

@@ -121,7 +121,7 @@ class Learner:
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
         led = predicted.noise
         if not at.converged and not led.windows:
-            at, led = self._under_other_noise(window, predicted, at)
+            at, predicted, led = self._begun(window, predicted, at)
         tests = self._tests(at, predicted)
         if (self._jumps(tests.jump) and not believe) or not at.converged:
             return self._posterior(at, predicted), known
@@ -155,6 +155,15 @@ class Learner:
         place = self.lineariser.place(settled, predicted.eta)
         learnt = replace(at_window, theta=theta, footing=footing, eta=here.eta, place=place)
         return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
+
+    def _begun(self, window: Window, known: Knowledge, at: Linearised) -> tuple[Linearised, Knowledge, Noise]:
+        """Return a first window from elsewhere, or under other noise: what is known there, and that noise."""
+        begun = self.lineariser.begun(window, known)
+        elsewhere = self.lineariser.linearised(window, begun, jumps=False)
+        if elsewhere.converged:
+            return elsewhere, begun, begun.noise
+        at, led = self._under_other_noise(window, known, at)
+        return at, known, led
 
     def _under_other_noise(
         self, window: Window, known: Knowledge, at: Linearised

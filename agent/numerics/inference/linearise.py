@@ -164,6 +164,50 @@ class Lineariser:
         again = self._descended(window, known, jumps, steps, given=True)
         return again if again.converged else at
 
+    def begun(self, window: Window, known: Knowledge) -> Knowledge:
+        """Return what is known at parameters and constants from which a first window is straight.
+
+        From the best common factor on, both move: what they share is straight in their logarithms alone.
+        """
+        known = self._scaled(window, known)
+        no_cuts = np.zeros(0, dtype=np.int64)
+        at = self.point(window, known, known.theta, no_cuts)
+        for _ in range(tuning.STEPS):
+            lower = self._both_lower(window, known, at)
+            if lower is None:
+                break
+            known = lower
+            at = self.point(window, known, known.theta, no_cuts)
+        return known
+
+    def _both_lower(self, window: Window, known: Knowledge, at: Linearised) -> Knowledge | None:
+        """What is known where the cost falls along a step of both; None at rest, or if there is none."""
+        layout, nb = at.regression.layout, at.regression.layout.base
+        step = inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b)
+        if self._length(at, step[layout.psi], np.sqrt(np.diag(at.eliminated[3]))) <= 1.0:
+            return None
+        before = self._cost(at, at.regression, given=True) + _improbable(known)
+        for share in 0.5 ** np.arange(tuning.HALVINGS):
+            theta = np.maximum(shifted(at.theta, share * at.unit * step[layout.psi]), self.rig.lower)
+            there = replace(known, theta=theta, eta=known.eta + share * step[layout.xi])
+            trial, _ = self._trial(at, window, there, theta)
+            if self._cost(at, trial, given=True) + _improbable(there) < before:
+                return there
+        return None
+
+    def _scaled(self, window: Window, known: Knowledge) -> Knowledge:
+        """Return what is known at the common factor on all parameters that describes a window best.
+
+        It turns all frequencies: between lightly damped modes no descent finds the way.
+        """
+        at = self.point(window, known, known.theta, np.zeros(0, dtype=np.int64))
+
+        def cost(by: float) -> float:
+            return self._cost(at, self._trial(at, window, known, known.theta * np.exp(by))[0], False)
+
+        steps = tuning.SCALING * np.arange(-tuning.SCALINGS, tuning.SCALINGS + 1)
+        return replace(known, theta=known.theta * np.exp(min(steps, key=cost)))
+
     def _descended(
         self, window: Window, known: Knowledge, jumps: bool, steps: int, given: bool
     ) -> Linearised:
@@ -464,6 +508,12 @@ class Lineariser:
         spreads = [np.diag((share * sheet) ** 2) for share in (0.1 * tuning.AS_CONFIGURED, 1.0)]
         ridges = [self.ridge(at.regression.layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
         return np.array(ridges)
+
+
+def _improbable(known: Knowledge) -> float:
+    """Twice the negative log prior of the constants at which a window is linearised."""
+    apart = known.eta - known.constants.expected
+    return float(apart @ inverse(known.constants.total) @ apart) if len(apart) else 0.0
 
 
 def _straight(sd: FloatArray) -> FloatArray:

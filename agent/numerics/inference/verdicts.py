@@ -65,8 +65,9 @@ def _statements(hypotheses: tuple[Hypothesis, ...], of: tuple[Constant, ...]) ->
     """Return what hypotheses say of constants (c,), made once for each rig."""
     ways: dict[tuple[str, bool, str], list[tuple[int, FloatArray]]] = {}
     for row, hypothesis in enumerate(hypotheses):
-        for name, members, drifts in hypothesis.named:
-            ways.setdefault((name, drifts, of[int(members.argmax())].kind), []).append((row, members))
+        for off in hypothesis.off:
+            kind = of[int(off.members.argmax())].kind
+            ways.setdefault((off.name, off.drifts, kind), []).append((row, off.members))
     said = [(i, row, members) for i, group in enumerate(ways.values()) for row, members in group]
     same = np.array([i for i, *_ in said], dtype=np.int64)
     members = np.array([each for *_, each in said]).reshape(len(said), len(of))
@@ -113,9 +114,7 @@ def _shared(found: list[Belief]) -> list[Belief]:
     return [replace(b, probability=each) if b in tied else b for b in found]
 
 
-def _together(
-    said: _Statements, probability: FloatArray, size: FloatArray, sd: FloatArray
-) -> list[Belief]:
+def _together(said: _Statements, probability: FloatArray, size: FloatArray, sd: FloatArray) -> list[Belief]:
     """Ways (n,) in which the same may be off, each as one: probability, and mean and sd of their mixture."""
     if not len(said.starts):
         return []

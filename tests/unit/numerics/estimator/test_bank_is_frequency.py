@@ -84,8 +84,7 @@ def both(
 
 def only(constants: Constants, name: str) -> Constants:
     """One hypothesis of the sum, believed."""
-    labels = [f"{h.name} drifts" if h.drifts else h.name for h in constants.hypotheses]
-    first = labels.index(name)
+    first = [h.name for h in constants.hypotheses].index(name)
     one = slice(first, first + 1)
     return Constants(constants.hypotheses[one], np.ones(1), constants.mean[one], constants.covariance[one])
 

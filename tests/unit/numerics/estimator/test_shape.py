@@ -26,7 +26,7 @@ def test_interval_of_a_row_like_those_the_point_rests_on_is_that_of_the_mixture(
     weight = np.full(len(names), 1e-6)
     weight[tied] = 0.5
     off = np.zeros_like(constants.mean)
-    off[tied[1]] = 0.1 * constants.hypotheses[tied[1]].members
+    off[tied[1]] = 0.1 * constants.hypotheses[tied[1]].off[0].members
     narrow = np.array([1e-6 * np.eye(len(known.eta))] * len(names))
     known = replace(
         known, constants=replace(constants, weight=weight / weight.sum(), mean=off, covariance=narrow)

@@ -52,7 +52,7 @@ def test_nothing_slides_where_no_drift_is_believed() -> None:
 def test_the_gain_that_drifts_slides_by_its_walk() -> None:
     known = believed("x1 drifts")
     number, size = known.constants.slide
-    assert known.constants.hypotheses[0].members[number] == 1
+    assert known.constants.hypotheses[0].off[0].members[number] == 1
     assert size == pytest.approx(float(np.sqrt(known.constants.hypotheses[0].walk[number, number])))
 
 

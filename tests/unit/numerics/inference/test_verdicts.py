@@ -52,7 +52,7 @@ def test_a_group_is_off_by_the_mean_of_its_members() -> None:
 def test_two_things_that_are_off_are_two_beliefs() -> None:
     constants = (Constant("m1", "mass", 0, 0.02), Constant("delay", "delay", 0, 0.2, apart=True))
     prior = Constants.prior(hypotheses_of(constants))
-    both = np.array([h.late is not None for h in prior.hypotheses], dtype=float)
+    both = np.array([len(h.off) == 2 for h in prior.hypotheses], dtype=float)
     mean = both[:, None] * [np.log(1.05), 0.5]
     known = Constants(prior.hypotheses, both / both.sum(), mean, prior.covariance)
     found = {b.name: b for b in beliefs(known, constants)}
@@ -64,7 +64,7 @@ def test_ways_in_which_the_same_may_be_off_are_one_belief() -> None:
     late = tuple(Constant("delay", "delay", number, 0.2, apart=number == 1) for number in (0, 1))
     prior = Constants.prior(hypotheses_of(late))
     ways = [i for i, h in enumerate(prior.hypotheses) if h.name == "delay"]
-    members = np.array([h.members for h in prior.hypotheses])
+    members = np.array([h.off[0].members if h.off else np.zeros(2) for h in prior.hypotheses])
     mean = members * [0.3, 0.5]
     (found,) = beliefs(Constants(prior.hypotheses, prior.weight, mean, prior.covariance), late)
     assert found.probability == pytest.approx(prior.probability("delay"))

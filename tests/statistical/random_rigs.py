@@ -407,7 +407,6 @@ PAIRS = (
     ("one mass", "unknown force"), ("three digits", "noise stated"), ("force noise", "one mass"),
     ("hum", "all outputs"), ("AR sensors", "one mass"), ("unknown force", "three digits"),
     ("force noise", "hum"), ("gain drifts", "one mass"), ("gain drifts", "all masses"),
-    ("one output", "all masses"),
 )  # fmt: skip
 
 

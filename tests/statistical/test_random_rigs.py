@@ -33,6 +33,8 @@ QUICK = (
     (700040, ("gain drifts", "one mass"), 12),
     (820002, ("gain drifts", "one mass"), 6),
     (700203, ("hum", "all masses"), 4),
+    (701188, ("gain", "gain drifts"), 20),
+    (700103, ("one mass", "noise not stated"), 20),
     (15004, ("data sheets",), 8),
     (15007, ("data sheets",), 8),
 )
@@ -44,7 +46,8 @@ are rounded a hundred times as coarsely as others, of 9127 belief slides to what
 of 9250 no window comes to rest under the noise of the sensors alone, of 30035 a force that is held hides what
 else is off, of 30141 readings are so precise that intervals end at what one of three explanations says, of
 700040 a drift hides whose the rest of a scale is, of 820002 all is exact but a mass whose own sensor drifts,
-of 700203 all modes are elsewhere than configured."""
+of 700203 all modes are elsewhere than configured, of 701188 other parameters explain in each window what a
+gain's drift does, of 700103 ten explanations are each straight somewhere else."""
 
 
 def name_of(kinds: Iterable[str]) -> str:

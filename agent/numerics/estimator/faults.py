@@ -200,15 +200,19 @@ class Faults:
     def follow(self, newest: int, found: Contest, onset: int | None, rests: bool) -> bool:
         """Take what a contest says; return whether a channel may be wrong, so that no parameter moves.
 
-        onset: of broken rows, None where they hold; rests: other parameters fit the window.
+        onset: of broken rows, None where they hold; rests: other parameters fit the window. A gain that leads
+        and is within its data sheet is rather learnt: parameters that follow it change in every window.
         """
         if self._lasts:
             return True
         named = found.fault is not None or self.standing is not None
+        broken = onset is not None
+        self.slides = all((broken, self.standing is None, self._is_within_sheet(found.leads)))
         if found.leads is None or (rests and not named):
+            if self.slides:
+                return True
             self._withdraw(newest)
             return self.standing is not None
-        self.slides = self.standing is None and self._is_within_sheet(found.leads)
         self._since = min((sample for sample in (self._since, onset) if sample is not None), default=newest)
         if newest - self._since < WHOLE * self.learner.window:
             return True

@@ -19,7 +19,7 @@ NEAR = 0.1
 """Twice the log evidence that neglected terms of second order may cost a hypothesis in a window, about where
 the window is straight. Needed by: rig 8805."""
 PLACES = 12
-"""Most such places besides the first, the likeliest hypotheses' first. Cost only."""
+"""Most such places besides the first, the likeliest hypotheses' first. Needed by: rig 700103."""
 
 DELAY_SHEET = 0.25
 """Data-sheet sd of the input delay, samples, if unstated. Needed by: force not straight between samples."""
@@ -41,7 +41,7 @@ OFF_DELAY = 1.0
 """Prior sd of a delay that is "off", samples. Needed by: held but hold = "first" (half a sample)."""
 DRIFT_WALKS = (0.0007, 0.005)
 """Random walks a window of a gain that "drifts", slowly or fast. Needed by: sensor y1 drifting 5 %."""
-PRIOR_DRIFTS = 0.006
+PRIOR_DRIFTS = 0.003
 """Prior probability that a gain drifts, as a share of that it is off. Needed by: not straight."""
 DRIFT_FOLLOWED = 0.2
 """Probability of any drift from which every window is learnt from. Needed by: sensor y1 drifting 5 %."""

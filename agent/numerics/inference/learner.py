@@ -159,7 +159,7 @@ class Learner:
     def _begun(self, window: Window, known: Knowledge, at: Linearised) -> tuple[Linearised, Knowledge, Noise]:
         """Return a first window from elsewhere, or under other noise: what is known there, and that noise."""
         begun = self.lineariser.begun(window, known)
-        elsewhere = self.lineariser.linearised(window, begun, jumps=False)
+        elsewhere = at if begun is known else self.lineariser.linearised(window, begun, jumps=False)
         if elsewhere.converged:
             return elsewhere, begun, begun.noise
         at, led = self._under_other_noise(window, known, at)

@@ -167,8 +167,10 @@ class Lineariser:
     def begun(self, window: Window, known: Knowledge) -> Knowledge:
         """Return what is known at parameters and constants from which a first window is straight.
 
-        From the best common factor on, both move: what they share is straight in their logarithms alone.
+        From the best common factor on, both move: what they share is straight in their logarithms alone. As
+        it was where constants would be off as none is: millimetres for metres are no gain.
         """
+        before = known
         known = self._scaled(window, known)
         no_cuts = np.zeros(0, dtype=np.int64)
         at = self.point(window, known, known.theta, no_cuts)
@@ -178,7 +180,7 @@ class Lineariser:
                 break
             known = lower
             at = self.point(window, known, known.theta, no_cuts)
-        return known
+        return known if _improbable(known) < tuning.MISMATCH_SD**2 else before
 
     def _both_lower(self, window: Window, known: Knowledge, at: Linearised) -> Knowledge | None:
         """What is known where the cost falls along a step of both; None at rest, or if there is none."""
@@ -190,6 +192,8 @@ class Lineariser:
         for share in 0.5 ** np.arange(tuning.HALVINGS):
             theta = np.maximum(shifted(at.theta, share * at.unit * step[layout.psi]), self.rig.lower)
             there = replace(known, theta=theta, eta=known.eta + share * step[layout.xi])
+            if _improbable(there) > tuning.ASTRAY_SD**2:
+                return None
             trial, _ = self._trial(at, window, there, theta)
             if self._cost(at, trial, given=True) + _improbable(there) < before:
                 return there

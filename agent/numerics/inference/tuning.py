@@ -80,6 +80,8 @@ STEPS = 12
 SCALINGS, SCALING = 18, 0.04
 """Steps either way, and their size (of a logarithm), of the factor on all parameters that is tried where a
 first window does not come to rest. Needed by: all masses -20 %, three masses (rig 701415)."""
+ASTRAY_SD = 100.0
+"""Sds of the constants' prior from which such a start has lost its way: it may wander and come back."""
 ALTERNATIONS = 3
 """Most turns of noise and descent in a first window that does not come to rest. Needed by: rig 9250."""
 CURVATURE = 0.03

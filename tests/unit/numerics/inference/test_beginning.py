@@ -50,3 +50,11 @@ def test_parameters_alone_do_not_come_to_rest_where_all_modes_are_elsewhere() ->
     assert not lineariser.linearised(window, prepared, jumps=False).converged
     begun = lineariser.begun(window, prepared)
     assert lineariser.linearised(window, begun, jumps=False).converged
+
+
+def test_millimetres_for_metres_are_no_gain() -> None:
+    window = window_with(np.array([0.0, 0.0, 0.0, np.log(1000.0), 0.0, 0.0, 0.0, 0.0]), 1.0)
+    prepared = LEARNER.lineariser.prepared(window, LEARNER.prior(SIGMA, np.full(3, 0.3)))
+    begun = LEARNER.lineariser.begun(window, prepared)
+    assert np.abs(begun.eta).max() < 0.5
+    assert not LEARNER.lineariser.linearised(window, begun, jumps=False).converged

@@ -52,8 +52,10 @@ def test_parameters_alone_do_not_come_to_rest_where_all_modes_are_elsewhere() ->
     assert lineariser.linearised(window, begun, jumps=False).converged
 
 
-def test_millimetres_for_metres_are_no_gain() -> None:
-    window = window_with(np.array([0.0, 0.0, 0.0, np.log(1000.0), 0.0, 0.0, 0.0, 0.0]), 1.0)
+@pytest.mark.parametrize("factor", [3.0, 1000.0])
+def test_a_gain_that_is_off_as_none_is_begins_no_window(factor: float) -> None:
+    """A wrong range, and millimetres for metres."""
+    window = window_with(np.array([0.0, 0.0, 0.0, np.log(factor), 0.0, 0.0, 0.0, 0.0]), 1.0)
     prepared = LEARNER.lineariser.prepared(window, LEARNER.prior(SIGMA, np.full(3, 0.3)))
     begun = LEARNER.lineariser.begun(window, prepared)
     assert np.abs(begun.eta).max() < 0.5

@@ -1,5 +1,7 @@
 """The Gaussian sum over hypotheses on the constants against Bayes' rule on a linear problem, by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -134,6 +136,39 @@ def test_gain_that_begins_to_drift_after_long_is_said_to_drift_at_once() -> None
     assert min(drifts[42:]) > 0.9
     assert known.probability("x1") > 0.99
     assert known.expected[2] == pytest.approx(0.05, abs=5e-4)
+
+
+def test_gain_begins_to_drift_from_where_it_is_known_to_be() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    told = prior.updated(straight(np.diag([1e8] * 3), np.array([0.0, 0.0, 4e6]), np.zeros(3)))  # x1 4 % off
+    none = replace(told, weight=np.where([h.drifts for h in told.hypotheses], 0, told.weight))
+    later = switched(none, NOTHING)
+    x1 = next(i for i, h in enumerate(prior.hypotheses) if h.name == "x1 drifts")
+    mean, total = none.standing
+    assert later.mean[x1] == pytest.approx([0.0, 0.0, mean[2]])
+    assert later.covariance[x1, 2, 2] == pytest.approx(total[2, 2] + prior.covariance[0, 2, 2], rel=1e-6)
+    assert later.covariance[x1, 0, 0] == pytest.approx(prior.covariance[0, 0, 0])
+
+
+def test_gain_drifts_beside_one_mass_that_is_off_where_all_else_is_exact() -> None:
+    """All else is so surely exact that no wider data sheets explain what is off."""
+    known = Constants.prior(hypotheses_of(CONSTANTS))
+    S = 1e8 * np.outer([1.0, 0.0, -1.0], [1.0, 0.0, -1.0]) + np.diag([0.0, 1e10, 0.0])
+    for window in range(20):
+        off = np.array([0.12, 0.0, -2.5e-3 * window])
+        known = switched(known, straight(S, S @ off, np.zeros(3)))
+    assert known.drift_probability > 0.99
+    stands = known.weight >= tuning.STANDING_WEIGHT
+    assert np.min(np.abs(known.mean[stands, 0] - 0.12) / np.sqrt(known.covariance[stands, 0, 0])) < 1.96
+
+
+def test_what_is_off_and_drifts_is_one_thing() -> None:
+    found = hypotheses_of(CONSTANTS)
+    assert not [h.name for h in found if len({off.name for off in h.off}) < len(h.off)]
+    # from its data sheet, and from wherever it is
+    wide = [h.covariance[2, 2] > tuning.OFF_RELATIVE**2 for h in found if h.name == "x1 drifts"]
+    assert any(wide)
+    assert not all(wide)
 
 
 def test_gain_that_drifts_beside_a_mass_that_is_off_says_nothing_of_the_mass() -> None:

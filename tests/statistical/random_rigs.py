@@ -409,6 +409,19 @@ PAIRS = (
     ("force noise", "hum"), ("gain drifts", "one mass"), ("gain drifts", "all masses"),
 )  # fmt: skip
 
+APART = ({"noise stated", "noise not stated"}, {"one mass", "all masses"})
+"""Kinds of which one undoes the other."""
+
+
+def drawn(seed: int) -> tuple[str, ...]:
+    """None to three kinds that go together, drawn at random."""
+    rng = np.random.default_rng(seed)
+    while True:
+        count = int(rng.choice(4, p=[0.1, 0.3, 0.5, 0.1]))
+        kinds = tuple(rng.choice(sorted(FAULTS), count, replace=False).tolist())
+        if not any(apart <= set(kinds) for apart in APART):
+            return kinds
+
 
 def case(seed: int, kinds: tuple[str, ...]) -> Case:
     """The rig of a seed with imperfections of kinds."""

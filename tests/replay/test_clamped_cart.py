@@ -69,3 +69,16 @@ def test_windows_that_mostly_rest_are_not_sure_of_a_wrong_stiffness(
     assert len(held) >= 5
     assert sum(held) >= 0.85 * len(held)
     assert document["alarms"] == []
+
+
+@pytest.mark.parametrize("nominal", [3.25e-4, 3.52e-4, 3.61e-4])
+def test_windows_in_which_friction_holds_the_cart_do_not_lose_its_spring(
+    tmp_path: Path, nominal: float
+) -> None:
+    """For half of such a window it rests where its spring would move it: as if there were none."""
+    config, database = tmp_path / "clamped.toml", tmp_path / "clamped.db"
+    config.write_text(TEXT.format(nominal=nominal, window_s=2.0, hop_s=0.02), encoding="utf-8")
+    document = replay(config=config, recordings=[data("ecp210/m2_clamped_a.txt")], db=database)
+    rows = [r for r in rows_of(database) if r["parameter"] == "k" and r["status"] == "valid"]
+    assert all(r["upper"] > 0.85 * STIFFNESS[0] for r in rows)
+    assert document["alarms"] == []

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from agent.records import Record
 from agent.types import AlarmTransition, EstimateBatch, FloatArray, IntArray, Reason, Status
+from sim_bus.rig.plant import GROUND
 from tests.statistical.chains import TWO, Chain
 from tests.statistical.nearly_right import Case, Play, records
+from tests.statistical.random_rigs import Network
 
 ON_DELAY_S, LIMIT_SHARE = 0.5, 0.6
 BEFORE, AFTER, SETTLE = 5, 4, 2
@@ -42,6 +44,20 @@ STEPS = {
 }
 
 
+LIGHT = Network(
+    (4.0, 3.0, 2.5), (3.0e4, 2.5e4, 2.0e4, 1.5e4, 9.0e3), (6.8, 5.7, 4.5, 3.4, 2.0), 2000.0,
+    (("displacement", 0), ("velocity", 1), ("acceleration", 2)), (7.9e-7, 6.4e-5, 9e-3),
+    window_s=1.06, force_n=1.0, force_hz=35.0,
+    spring_ends=((GROUND, "m1"), (GROUND, "m2"), ("m1", "m3"), ("m2", "m3"), ("m1", "m2")),
+    damper_ends=((GROUND, "m1"), (GROUND, "m2"), ("m1", "m3"), ("m2", "m3"), ("m1", "m2")),
+)  # fmt: skip
+"""Lightly damped, with sensors so good that no parameters nearly fit a window that holds a change."""
+GIVES_WAY, LASTS = -0.3, 1.5
+"""Share of itself that a spring loses, and windows in which it does."""
+PIECES = 200
+"""Steps a window in which it is played."""
+
+
 @dataclass(frozen=True)
 class Raised:
     """What came of a step: delay of each alarm that had to be, s (NaN: none), and what else was alarmed."""
@@ -68,20 +84,41 @@ def step(name: str, seed: int, chain: Chain = TWO) -> Raised:
     return Raised(delays, wrong)
 
 
+def gives_way(seed: int, chain: Chain = LIGHT) -> Raised:
+    """Play a spring that softens within some windows and then stays; masses as their data sheets say."""
+    rng = np.random.default_rng([seed, 97])
+    W = chain.window
+    at, lasts = 12 * W + int(rng.integers(W)), int(LASTS * W)
+    thetas = [(0, chain.theta)]
+    for k in range(int(LASTS * PIECES)):
+        softer = chain.theta.copy()
+        softer[2] *= 1 + GIVES_WAY * (k + 1) / (LASTS * PIECES)
+        thetas.append((SETTLE * W + at + k * W // PIECES, softer))
+    masses = chain.masses * np.exp(0.02 * rng.standard_normal(len(chain.masses)))
+    v = readings(chain, rng, at + lasts + 8 * W, thetas, masses.tolist())
+    alarms = raised(records(Case(chain), v), chain)
+    delay = next(((t - at) / chain.rate_hz for n, t in alarms if n == "k3"), np.nan)
+    return Raised((delay,), tuple(n for n, t in alarms if n != "k3" or t < at))
+
+
 def latest(chain: Chain = TWO) -> float:
     """Seconds after which a step has to be alarmed."""
     return ON_DELAY_S + WITHIN * chain.window_s
 
 
 def readings(
-    chain: Chain, rng: np.random.Generator, samples: int, thetas: Sequence[tuple[int, FloatArray]]
+    chain: Chain,
+    rng: np.random.Generator,
+    samples: int,
+    thetas: Sequence[tuple[int, FloatArray]],
+    masses: Sequence[float] = (),
 ) -> FloatArray:
     """Readings (samples, 1 + p) of a chain whose parameters change at samples counted from the settling's
-    first."""
+    first; masses: the true ones, where they are not as configured."""
     play = Play.of(chain, rng, samples + SETTLE * chain.window + 1)
     forces = np.zeros((len(play.force), len(chain.masses)))
     forces[:, -1] = play.force
-    y = chain.motion(forces, thetas=thetas) + play.noise
+    y = chain.motion(forces, masses, thetas=thetas) + play.noise
     return np.column_stack([play.force, y])[SETTLE * chain.window : -1]
 
 

@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 from tests.statistical.machine import each, say
-from tests.statistical.steps import STEPS, Raised, flicker, healthy, latest, step
+from tests.statistical.steps import (
+    LASTS,
+    LIGHT,
+    STEPS,
+    Raised,
+    flicker,
+    gives_way,
+    healthy,
+    latest,
+    step,
+)
 
 FULL = 25
 UNSEEN = 0.35
@@ -35,6 +45,29 @@ def test_step_is_alarmed_in_time_and_nothing_else_is(name: str, request: pytest.
 @pytest.mark.parametrize("name", STEPS)
 def test_step_is_alarmed_in_time_in_25_runs(name: str, request: pytest.FixtureRequest) -> None:
     hold(name, each(partial(step, name), range(5000, 5000 + FULL)), request)
+
+
+def hold_giving_way(found: list[Raised], request: pytest.FixtureRequest) -> None:
+    delays = np.array([run.delays for run in found]) - LASTS * LIGHT.window_s
+    wrong = [w for run in found for w in run.wrong]
+    say(
+        request,
+        f"a spring that gives way within {LASTS} windows, {len(found)} runs: alarmed {np.max(delays):.2f} s "
+        f"after it did at the latest; else {', '.join(sorted(set(wrong))) or 'nothing'}",
+    )
+    assert (delays <= latest(LIGHT)).all()
+    assert not wrong
+
+
+def test_spring_that_gives_way_is_alarmed_though_no_window_fits_meanwhile(
+    request: pytest.FixtureRequest,
+) -> None:
+    hold_giving_way([gives_way(seed) for seed in (5, 6)], request)
+
+
+@pytest.mark.soak
+def test_spring_that_gives_way_is_alarmed_in_25_runs(request: pytest.FixtureRequest) -> None:
+    hold_giving_way(each(gives_way, range(6000, 6000 + FULL)), request)
 
 
 def quiet(runs: list[tuple[int, int]], request: pytest.FixtureRequest) -> None:

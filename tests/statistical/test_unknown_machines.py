@@ -105,11 +105,15 @@ def test_wrong_graph_is_refused_by_name(tmp_path: Path, seed: int) -> None:
     [
         (["x1"], 1e3, "it fits with x1 in mm where the file says m: correct"),
         pytest.param(
-            ["x1", "x2", "x3", "x4"], 1e3, "; or x1, x2, x3, x4 in mm where the file says m: correct",
+            ["x1", "x2", "x3", "x4"],
+            1e3,
+            "; or x1, x2, x3, x4 in mm where the file says m: correct",
             marks=pytest.mark.soak,
         ),
         pytest.param(
-            ["f4"], 1 / 9.80665, "it fits with f4 in kgf where the file says N: correct",
+            ["f4"],
+            1 / 9.80665,
+            "it fits with f4 in kgf where the file says N: correct",
             marks=pytest.mark.soak,
         ),
     ],

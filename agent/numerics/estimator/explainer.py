@@ -369,9 +369,13 @@ class Explainer:
         disturbance.tried(newest, length)
         if not self._may_begin(newest):
             return False
+        before = self.budget.left
         runs_on = self._moves and self._runs_on(self.window(record, newest)[0], newest)
         moved = not runs_on and self._explained(record, newest)
         self._pay()
+        if not moved and newest not in self.lines:
+            share = min((before - self.budget.left) / before, 1.0)
+            disturbance.missed(newest, length, share, converged=self._last[1].converged)
         return moved
 
     def _explained(self, record: Record, newest: int) -> bool:

@@ -75,6 +75,15 @@ class Record:
         """Return in how many samples (N,) of windows ending at samples `index` some output changes code."""
         return self._count(self._changed, index, window - 1)
 
+    def rests_in(self, index: IntArray, window: int) -> BoolArray:
+        """(N,) windows that end at samples `index` in which all outputs stay at their codes for half of them.
+
+        Seen on a grid of eighths: surely if they stay for five of them.
+        """
+        half, eighth = window // 2, window // 8
+        rests = np.array([self._count(self._changed, index - k * eighth, half) == 0 for k in range(5)])
+        return np.asarray(rests.any(axis=0))
+
     def repeats_in(self, index: IntArray, window: int) -> FloatArray:
         """Return factors (N,) on the variance, by repeated codes, of windows that end at samples `index`."""
         return by_repeats(self.changes_in(index, window), window)

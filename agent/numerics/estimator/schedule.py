@@ -94,6 +94,20 @@ class Disturbance:
         """Note a try at sample `index`."""
         self.again = index + max(1, window // tuning.TRIES)
 
+    def missed(self, index: int, window: int, share: float, *, converged: bool) -> None:
+        """Note a try that explained nothing and took a share of what there was to spend.
+
+        Windows that do not converge hold too much of a change, as all do until a window after its onset. What
+        lasts longer is tried again after as large a share of the time that it has lasted, several times: so
+        something is left when it is over at last.
+        """
+        onset = index if self.onset is None else self.onset
+        lasts = index - onset
+        if lasts >= window:
+            self.wait(index + int(tuning.PATIENCE * share * lasts))
+        elif not converged:
+            self.wait(onset + int(tuning.WHOLE * window))
+
     def wait(self, until: int) -> None:
         """Let sample `until` pass before the next try."""
         self.again = max(self.again, until)
@@ -125,6 +139,11 @@ class Budget:
         self._left = capital + once
         self._index = 0
         self._closed = False
+
+    @property
+    def left(self) -> float:
+        """What there is to spend, less than 0 while it is owed."""
+        return self._left
 
     @property
     def closed(self) -> bool:

@@ -176,7 +176,9 @@ class SlidingEstimator:
         hollow = self._hollow(record, reading.index) | reading.unsolved
         still = self._still(record, reading.index)
         frozen = faults.frozen_in(record, reading.index, still)
-        broken = (reading.broken(self.explainer.learner.threshold) | hollow) & ~still | frozen
+        broken = reading.broken(self.explainer.learner.threshold)
+        still |= self._held(record, reading.index, broken | reading.far)
+        broken = (broken | hollow) & ~still | frozen
         rows = Outcome.of(reading, self.settings.enough_sd)
         ended = np.empty(len(rows.index), dtype=np.int64)
         agrees = faults.agrees(reading, known)
@@ -237,6 +239,17 @@ class SlidingEstimator:
             0.5 / window
         )  # of a standard deviation from so many samples
         return rests | record.quiet_in(index, window, chance * self.explainer.learner.spread(known.noise))
+
+    def _held(self, record: Record, index: IntArray, other: BoolArray) -> BoolArray:
+        """(N,) windows, of those that are other than what is known, in which something holds the machine.
+
+        A mass that dry friction holds rests where its springs would move it: as if they were gone. Of how it
+        moves for the rest of the window no other parameters are to be believed.
+        """
+        held = np.zeros(len(index), dtype=bool)
+        if other.any():
+            held[other] = record.rests_in(index[other], self.settings.plan.window)
+        return held
 
     def _hollow(self, record: Record, index: IntArray) -> BoolArray:
         """(N,) windows that end at samples `index` and lost too many readings to say anything."""

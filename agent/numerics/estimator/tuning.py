@@ -54,6 +54,9 @@ TRIES = 8  # tries a window length to solve windows that are broken
 AGAIN = (
     3  # windows in which parameters that change twice, or rows that stay broken, are rather pushed by forces
 )
+PATIENCE = 2.0
+"""Times the share of what there is to spend that a try took, of the time that a change has lasted, until the
+next: a spring that gives way within one and a half windows is found while something is left."""
 LASTS = 1.5  # windows that one change is in the way at the most; what lasts longer may be forces that began
 BURST = 720  # evaluations that may follow one another: a step and its aftermath
 FIRST = 192  # evaluations besides, once: the first windows, which take six each where the model fits

@@ -241,9 +241,7 @@ def _late(
     return [np.concatenate(pair, axis=-1) for pair in zip(given, slopes, strict=True)], late
 
 
-def _static(
-    rig: Rig, outputs: tuple[FloatArray, ...], acting: BoolArray
-) -> tuple[FloatArray, FloatArray]:
+def _static(rig: Rig, outputs: tuple[FloatArray, ...], acting: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return what is added to outputs as columns of C, of D, and of the slopes' D beside it.
 
     The derivatives of these by each parameter come second. outputs: see `curvature`;  acting: (m,) inputs

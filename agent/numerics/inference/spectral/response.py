@@ -161,4 +161,3 @@ class Response:
         if samples not in self._powers:
             self._powers[samples] = np.linalg.matrix_power(self.at.A, samples)
         return self._powers[samples]
-

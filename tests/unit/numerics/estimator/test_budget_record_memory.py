@@ -133,3 +133,20 @@ def test_memory_of_the_form_before_is_read_and_what_is_not_finite_is_not_written
     assert to_text(again) == to_text(from_text(text, learner.hypotheses, fresh.noise))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="finite"):
         to_text(replace(known, theta=np.full(4, np.nan)))
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "rests"),
+    [(0, 100, False), (0, 37, True), (63, 100, True), (20, 60, False), (90, 95, True), (45, 55, False)],
+    ids=["all of it", "the oldest", "the newest", "the middle", "a little, late", "a little, in the middle"],
+)
+def test_record_tells_windows_in_which_nothing_moves_for_half_of_the_time(
+    first: int, last: int, rests: bool
+) -> None:
+    """first, last: between which samples of a window of 100 the machine moves."""
+    y = np.zeros((1100, 2))
+    y[1000 + first : 1000 + last, 1] = 1e-6 * (1 + np.arange(last - first))
+    y[1000 + last :, 1] = y[1000 + last - 1, 1]
+    kept = Record(50, 2, 1)
+    kept.append(y, np.ones((1100, 1)), None)
+    np.testing.assert_array_equal(kept.rests_in(np.array([949, 1149]), 100), [True, rests])

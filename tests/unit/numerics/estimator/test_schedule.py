@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.numerics.estimator.schedule import Schedule, eager_windows
-from agent.numerics.estimator.tuning import EAGER, SELDOM, SELDOM_SAMPLES
+from agent.numerics.estimator.schedule import Disturbance, Schedule, eager_windows
+from agent.numerics.estimator.tuning import BURST, EAGER, SELDOM, SELDOM_SAMPLES
 
 
 def learnt(window: int, windows: int) -> list[int]:
@@ -81,3 +81,34 @@ def test_schedule_tries_windows_that_cannot_be_solved_ever_more_seldom() -> None
     schedule.done(index)
     schedule.later(index, failed=True)
     assert schedule.due - index == 250
+
+
+def missed(cost: float, *, converged: bool, until: int, window: int = 1000) -> tuple[list[int], float]:
+    """Samples at which a change that nothing explains is tried, by a budget of 1, and what is left of it.
+
+    cost: of each try.
+    """
+    disturbance, left, tries = Disturbance(), 1.0, []
+    disturbance.at(0)
+    for index in range(0, until, 50):
+        if index >= disturbance.again and left > 0:
+            tries.append(index)
+            share, left = min(cost / left, 1.0), left - cost
+            disturbance.tried(index, window)
+            disturbance.missed(index, window, share, converged=converged)
+    return tries, left
+
+
+def test_windows_that_do_not_converge_are_not_tried_again_until_most_of_them_is_behind_the_change() -> None:
+    assert missed(0.1, converged=False, until=1000)[0] == [0, 800, 950]
+    assert missed(0.01, converged=True, until=1000)[0] == list(range(0, 1000, 150))
+
+
+def test_something_is_left_when_a_change_is_over_that_every_try_paid_for_in_vain() -> None:
+    """Sixty evaluations each, of a burst: tries an eighth of a window apart would end after two windows."""
+    tries, left = missed(60 / BURST, converged=False, until=8_000)
+    assert left > 60 / BURST
+    late = [n for n in tries if n > 1000]
+    assert len(late) >= 6
+    assert np.all(np.diff(np.diff(late)) >= -50)  # ever more patient
+    assert late[1] < 1.5 * late[0]

@@ -38,9 +38,7 @@ def between(made: Rig, u: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("lags", [(0.25, 0.0), (0.0, 0.25), (0.5, 0.1), (-0.25, 0.0)])
-def test_output_that_is_late_shows_the_motion_as_it_was(
-    lags: tuple[float, float], force: FloatArray
-) -> None:
+def test_output_that_is_late_shows_the_motion_as_it_was(lags: tuple[float, float], force: FloatArray) -> None:
     made = late()
     truth = between(made, force)
     found, at_once = readings(at(made, lags), force), readings(at(made, (0.0, 0.0)), force)

@@ -75,8 +75,10 @@ class Rails:
     def stopped(self, channel: int, x: FloatArray, ends: tuple[float, float], grain: float) -> bool:
         """Tell whether readings x, RAIL_ENTRY of them before the block, run into an end of a channel's range.
 
-        ends: of all readings so far. grain: step of the wire, or noise.
+        ends: of all readings so far. grain: step of the wire, or noise; a force that settles in a computer's
+        numbers has the steps of their rounding, which it may go several of at once before it stops.
         """
+        grain = max(grain, tuning.SAME * max(-ends[0], ends[1]))
         found = False
         for top in tops(x, grain):
             is_force_at_rest = self._inputs[channel] and abs(top.value) <= 0.5 * grain
@@ -111,6 +113,7 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
     """Return the flat tops and bottoms of readings that were entered too fast to be rounded peaks.
 
     Each is found in one block only: its last equal reading that makes it one is not in the first RAIL_ENTRY.
+    grain: step of the wire, noise or rounding of readings, whichever is largest; above 0.
     """
     found = []
     for start, stop in runs(np.asarray(np.diff(x) == 0)):

@@ -14,7 +14,7 @@ import numpy as np
 from agent.numerics.preprocessing.rails import RAIL_ENTRY, Rails
 from agent.numerics.preprocessing.rows import followed, least_of_parts
 from agent.numerics.preprocessing.standing import Standing
-from agent.numerics.preprocessing.tuning import ENTRY, OVERSHOOT, PLATEAU
+from agent.numerics.preprocessing.tuning import ENTRY, OVERSHOOT, PLATEAU, SAME
 from agent.types import BoolArray, FloatArray, IntArray
 
 Kind = Literal["stuck", "saturated"]
@@ -152,7 +152,7 @@ class SensorWatch:
         # of white noise the third difference has sd sqrt(20), and its mean size is 0.8 sd
         noise = third.mean(axis=2).T / (0.8 * np.sqrt(20.0))
         change = np.diff(x, axis=1, prepend=np.inf)  # nothing is known before a stretch's first sample
-        same = np.abs(change) <= 1e-12 * np.abs(x)  # what was filled in may miss by a rounding error
+        same = np.abs(change) <= SAME * np.abs(x)
         change[:, 0] = 0.0
         step = self._steps(change, same, whole)
         plateau, fastest = self._plateaus(change, same, blocks)

@@ -44,6 +44,10 @@ ALIKE = 0.8
 nearer ones the divisor is often a multiple of the step, and clips are missed."""
 WHOLE = 1e-6  # share of a step by which a reading may miss a whole number of them, and of a power of ten that
 ROUNDING = 1e-9  # share of a reading up to which differences are rounding: 30 bits, more than a sensor has
+SAME = 1e-12
+"""Share of a reading by which one that is the same may miss it: some thousand rounding errors of a double.
+What was filled in does (sensor_watch.py), and a force that is computed settles on its value by some thirty of
+them at once. No wire has 40 bits. Needed by: a square wave behind two lags."""
 # resample.py
 ON_A_SAMPLE = 1e-6  # of a sample: a place this near to a reading is that reading
 # sensor_watch.py

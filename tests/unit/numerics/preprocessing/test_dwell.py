@@ -3,6 +3,7 @@ say."""
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch, _Blocks
 from tests.unit.numerics.preprocessing.test_sensor_watch import (
@@ -74,6 +75,28 @@ def test_watch_of_a_commanded_force_that_is_held_at_its_ends_finds_nothing(
     v, steps = under(ramps(8000))
     named = SensorWatch(INPUTS, steps, WINDOW, KINDS, INPUTS & commanded).take(v)
     assert bool([finding for finding in named if finding.channel == 2]) == found
+
+
+def settling(lag: float, zero: float) -> FloatArray:
+    """A square wave behind two lags of so many samples as computed: it settles on ±1 less zero."""
+    times, samples = 16, 8000
+    steps = np.where(np.arange(times * samples) // round(95 * times * lag) % 2 == 0, 1.0, -1.0)
+    kept = np.exp(-1 / (times * lag))
+    for _ in range(2):
+        steps = lfilter([1 - kept], [1, -kept], steps)
+    return np.asarray(steps[::times] - zero)
+
+
+@pytest.mark.parametrize("zero", [0.0, 1.0])
+@pytest.mark.parametrize("lag", [4.3, 6.0, 10.0])
+@pytest.mark.parametrize("is_input", [True, False])
+def test_watch_of_a_channel_that_settles_by_rounding_errors_finds_nothing(
+    *, is_input: bool, lag: float, zero: float
+) -> None:
+    force = settling(lag, zero)
+    v = np.column_stack([np.random.default_rng(0).standard_normal(len(force)), force])
+    watcher = SensorWatch(np.array([False, is_input]), np.zeros(2), 1200)
+    assert [found for found in watcher.take(v) if found.kind == "saturated"] == []
 
 
 class EachBlock(SensorWatch):

@@ -4,13 +4,37 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from agent.blocks.constants_watch import SOURCE
+from agent.config.model.tables import Channel
 from agent.numerics.estimator.faults import Finding
 from agent.numerics.inference.channels import Fault
 from agent.records import HealthEvent
 from agent.text import number
 from agent.types import Output, Reason, SensorEvent, SensorFault
 
-UNITS = {"force": "N", "displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}
+PREFIXED = frozenset({"N", "m", "m/s", "m/s2", "m/s²"})
+"""Fixed by the SI: units of which a thousandth is said with a prefix; "mcounts" and "mmm" are none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A channel as people know it: its name, its unit as configured, and what one of that is in SI."""
+
+    name: str
+    unit: str
+    factor: float = 1.0
+
+    @classmethod
+    def of(cls, channel: Channel) -> "Named":
+        """Return how a configured channel is known."""
+        return cls(channel.name, channel.unit, channel.si_factor)
+
+    def amount(self, size: float) -> str:
+        """Return a size, SI, in the channel's unit; what is small in thousandths."""
+        size = size / self.factor
+        small = 0 < abs(size) < 0.1 and self.unit in PREFIXED
+        if small:
+            return f"{number(1000 * size, 3)} m{self.unit}"
+        return f"{number(size, 3)} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,18 +43,18 @@ class ChannelWatch:
 
     Args:
         rig: its name.
-        channels: names and quantities of its channels, outputs first, as the estimator counts them.
+        channels: its channels, outputs first, as the estimator counts them.
     """
 
     rig: str
-    channels: tuple[tuple[str, str], ...]
+    channels: tuple[Named, ...]
 
     def step(self, findings: Sequence[Finding], times: Mapping[int, int]) -> Output[HealthEvent, SensorEvent]:
         """Take what was found, and the samples' times; return what follows from it."""
         records: list[HealthEvent] = []
         alarms: list[SensorEvent] = []
         for found in findings:
-            name, t_ns = self.channels[found.fault.channel][0], times[found.sample]
+            name, t_ns = self.channels[found.fault.channel].name, times[found.sample]
             reason = Reason.STUCK if found.fault.kind == "stood" else Reason.SENSOR
             alarms.append(SensorEvent(SensorFault(name, reason), found.standing, found.sample, t_ns))
             if found.standing:
@@ -39,21 +63,17 @@ class ChannelWatch:
 
     def words(self, fault: Fault) -> str:
         """Return a fault as a sentence for people."""
-        name, quantity = self.channels[fault.channel]
-        unit = UNITS.get(quantity, "")
+        channel = self.channels[fault.channel]
+        name = channel.name
         if fault.kind == "stood":
-            return (
-                f"{name} stood at {_amount(fault.size, unit)} while the rig moved; "
-                "check the sensor and its line"
-            )
+            stood = f"{name} stood at {channel.amount(fault.size)} while the rig moved"
+            return f"{stood}; check the sensor and its line"
         if fault.kind == "delay":
             return f"{name} comes {fault.size:.0f} samples late ({fault.size:.1f} ± {number(fault.sd, 2)})"
         if fault.kind == "offset":
             much = "too much" if fault.size > 0 else "too little"
-            return (
-                f"{name} reads {_amount(abs(fault.size), unit)} {much}; "
-                "set its zero anew, and check its mounting"
-            )
+            reads = f"{name} reads {channel.amount(abs(fault.size))} {much}"
+            return f"{reads}; set its zero anew, and check its mounting"
         return f"{name} reads {_factor(fault)}; check its mounting, sign and scale"
 
 
@@ -66,8 +86,3 @@ def _factor(fault: Fault) -> str:
     larger = "more" if fault.size > 0 else "less"
     return f"{number(100 * abs(fault.size), 3)} ± {number(100 * fault.sd, 2)} % {larger} than it should"
 
-
-def _amount(size: float, unit: str) -> str:
-    """A quantity with its unit; what is small in thousandths."""
-    small = 0 < abs(size) < 0.1 and unit != ""
-    return f"{number(1000 * size, 3)} m{unit}" if small else f"{number(size, 3)} {unit}".rstrip()

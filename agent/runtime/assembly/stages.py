@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from agent.blocks.acquisition.interface import Through
-from agent.blocks.channel_watch import ChannelWatch
+from agent.blocks.channel_watch import ChannelWatch, Named
 from agent.blocks.constants_watch import ConstantsWatch
 from agent.blocks.estimation import Estimation
 from agent.blocks.friction import DryFriction, dry_friction
@@ -56,7 +56,7 @@ def make_stages(config: RigConfig, steps: FloatArray) -> Stages:
         quality=Quality(settings),
         friction=dry_friction(config, steps[inputs:]),
         estimation=estimation,
-        channels=ChannelWatch(rig, tuple((c.name, c.quantity) for c in (*config.outputs, *config.inputs))),
+        channels=ChannelWatch(rig, tuple(Named.of(c) for c in (*config.outputs, *config.inputs))),
         constants=ConstantsWatch(
             rig, 1.0 / rate_hz, window, frozenset(c.name for c in config.outputs), is_commanded
         ),

@@ -122,3 +122,26 @@ def test_force_that_rests_where_it_used_to_is_not_blamed_for_a_load_nobody_measu
     holds = np.abs(last.value[-1] - NOMINAL) < 3 * last.sd[-1]
     assert (np.isin(last.status[-1], (Status.INVALID, Status.UNEXCITED)) | holds).all()
     assert (last.status[-1] == Status.UNEXCITED).any()
+
+
+def test_force_that_is_held_at_each_of_its_levels_is_not_blamed_for_a_load_nobody_measures() -> None:
+    for seed, held in ((0, 1200), (4, 1200), (4, 2000)):  # samples, of windows of 1000
+        rng = np.random.default_rng(seed)
+        levels = np.repeat(np.round(2.0 * rng.standard_normal(18 * SECOND // held), 3), held)
+        load = np.where(np.arange(len(levels)) < 10.5 * SECOND, 0.0, drive(rng, len(levels)))
+        y = Machine.at_rest().play(on_second(levels + load))[:, :2]
+        v = np.column_stack([levels[:-1], y + NOISE_M * rng.standard_normal(y.shape)])
+        assert not [r for r in records(pipeline(), v) if isinstance(r, AlarmTransition)]
+
+
+@pytest.mark.parametrize("begins", [0, 300])
+@pytest.mark.parametrize("seed", [1, 4])
+def test_force_that_is_held_through_the_first_window_of_a_sound_rig_is_not_blamed(
+    begins: int, seed: int
+) -> None:
+    """What little the forces that nobody measures are found to be does not explain such a window better."""
+    rng = np.random.default_rng(seed)
+    force = np.full(3 * SECOND, np.round(2.0 * rng.standard_normal(), 3))
+    y = Machine.at_rest().play(on_second(force))[:, :2]
+    v = np.column_stack([force[:-1], y + NOISE_M * rng.standard_normal(y.shape)])
+    assert not [r for r in records(pipeline(), v[begins:]) if isinstance(r, AlarmTransition)]

@@ -124,7 +124,7 @@ class Explainer:
         fresh = self.learner.prior(*self._sigma(window.y))
         if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior):
             return False
-        self.faults.begun(record, newest, learnt.noise)
+        self.faults.begun(record, window, newest, learnt)
         self.posterior = posterior
         self._believe(newest, window, learnt)
         self.schedule.done(newest)

@@ -15,10 +15,8 @@ from agent.numerics.estimator.tuning import AGREES_SD, DOUBTS, MOST_RESTS, NOISY
 from agent.numerics.inference import tuning
 from agent.numerics.inference.channels import ChannelTest, Contest, Fault
 from agent.numerics.inference.learner import Learner
-from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.columns import Window
-from agent.numerics.inference.tuning import ACTIVE_NODES
 from agent.numerics.preprocessing.noise import sensor_noise
 from agent.types import BoolArray, FloatArray, IntArray, Reason
 
@@ -53,6 +51,7 @@ class Faults:
     _alive: bool = False
     _lasts: bool = False
     _usual: FloatArray = field(default_factory=lambda: np.zeros(0))
+    _changes: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         self._channel_test = ChannelTest(self.learner)
@@ -84,10 +83,14 @@ class Faults:
         return np.asarray((np.abs(reading.theta - known.theta) < AGREES_SD * reading.sd_repeat).all(axis=1))
 
     def learnt(self, window: Window) -> None:
-        """Note what channels are like in a window learnt from: whether no output can repeat itself at all."""
+        """Note what channels are like in a window learnt from: whether no output can repeat itself at all.
+
+        And how large inputs are, and at which share of the samples they change.
+        """
         grain = [float(np.diff(np.unique(column)).min(initial=np.inf)) for column in window.y.T]
         self._alive = bool(np.all(sensor_noise(window.y) > np.maximum(grain, NOISY * self.floor)))
         self._usual = np.asarray(window.u.std(axis=0))
+        self._changes = np.asarray(np.mean(np.diff(window.u, axis=0) != 0, axis=0))
 
     def rested(self, record: Record, index: IntArray) -> None:
         """Note the values at which inputs rest in windows, ending at samples `index`, that hold."""
@@ -107,13 +110,12 @@ class Faults:
         self._since = newest
         self._name(newest, Fault(0, "stood", float(record.outputs(newest, newest + 1)[0, 0]), 0.0))
 
-    def begun(self, record: Record, newest: int, noise: Noise) -> None:
+    def begun(self, record: Record, window: Window, newest: int, learnt: Knowledge) -> None:
         """Name an input that held one value through a first window whose motion asks for unknown forces."""
         self.over(newest)
-        forces = np.array([source.kind == "force" for source in self.learner.sources], dtype=bool)
-        asked = noise.is_started and np.any((noise.intensity > ACTIVE_NODES * noise.nodes[:, 0]) & forces)
-        for fault in self._standing_inputs(record, newest, self.learner.window)[: int(asked)]:
-            self._set(newest, fault)
+        standing = self._standing_inputs(record, newest, self.learner.window)
+        if standing and self._channel_test.forces_lead_by(window, learnt) > tuning.FIRST_EVIDENCE:
+            self._set(newest, standing[0])
 
     def reads_wrongly(
         self, record: Record, window: Window, newest: int, fresh: Knowledge, said: Knowledge, found: Posterior
@@ -183,15 +185,28 @@ class Faults:
 
         self._lasts = self.is_frozen(record, newest)
         found = self._channel_test.contest(window, known, sd, solved, late, everything=first)
-        span = int(WHOLE * self.learner.window)
-        stands = record.resting_in(np.array([newest]), span, self.learner.rig.driven)[0]
-        for number in np.flatnonzero(stands).tolist():
-            value = record.newest_input(newest, number)
-            if (number, value) not in self._rests and len(self._usual):
-                found = found.with_stood(
-                    self._channel_test.unbelieved(window, known, sd, number, value, self._usual[number])
-                )
+        for number, value in self._frozen_inputs(record, newest):
+            found = found.with_stood(
+                self._channel_test.unbelieved(window, known, sd, number, value, self._usual[number])
+            )
         return found
+
+    def _frozen_inputs(self, record: Record, newest: int) -> list[tuple[int, float]]:
+        """Inputs that stand, and where, as sound ones would not: neither at that value nor for so long.
+
+        A force in its place explains a window as well as one beside it: what stands is a constant, and the
+        mean of either is free. Only the standstill tells them apart: what is frozen stands; what is sound and
+        changes with a share r of its samples stands for s of them with probability exp(-r s). A command that
+        is held, or stepped now and then, may stand beside a load or a friction that nobody measures.
+        """
+        if not len(self._changes):
+            return []
+        span = int(WHOLE * self.learner.window)
+        driven = self.learner.rig.driven
+        changes = self._changes[: len(driven)] * span
+        stands = record.resting_in(np.array([newest]), span, driven)[0] & (changes > tuning.CHANNEL_EVIDENCE)
+        values = [(j, record.newest_input(newest, j)) for j in np.flatnonzero(stands).tolist()]
+        return [place for place in values if place not in self._rests]
 
     def is_pushed(self, window: Window, known: Knowledge, sd: FloatArray, solved: FloatArray) -> bool:
         """Whether unknown forces explain a window better than other parameters do."""

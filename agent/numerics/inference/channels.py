@@ -187,6 +187,23 @@ class ChannelTest:
         at = self._with_other_noise(window, there)
         return pushed > self._under_prior(at, known, np.full(self._rig.q, FLAT), self._rig.q).evidence
 
+    def forces_lead_by(self, window: Window, learnt: Knowledge) -> float:
+        """Log evidence by which a window's unknown forces explain it better than none; θ free with either.
+
+        learnt: from this window.
+        """
+        are_forces = [source.kind == "force" for source in self._learner.sources]
+        noise = learnt.noise
+        if not (noise.is_started and any(are_forces)):
+            return 0.0
+        without = replace(noise, intensity=np.where(are_forces, noise.nodes[:, 0], noise.intensity))
+        flat = np.full(self._rig.q, FLAT)
+        with_, none = (
+            self._under_prior(self._learner.at_point(window, known), known, flat, self._rig.q).evidence
+            for known in (learnt, replace(learnt, noise=without))
+        )
+        return with_ - none
+
     def _with_other_noise(self, window: Window, known: Knowledge) -> Linearised:
         """Return a window at the point known, under the noise that explains it best there."""
         return self._learner.at_point(window, replace(known, noise=self._learner.other_noise(window, known)))

@@ -11,7 +11,7 @@ from agent.records import HealthEvent
 from agent.text import number
 from agent.types import Output, Reason, SensorEvent, SensorFault
 
-PREFIXED = frozenset({"N", "m", "m/s", "m/s2", "m/s²"})
+SMALL_UNITS = frozenset({"N", "m", "m/s", "m/s2", "m/s²"})
 """Fixed by the SI: units of which a thousandth is said with a prefix; "mcounts" and "mmm" are none."""
 
 
@@ -28,10 +28,10 @@ class Named:
         """Return how a configured channel is known."""
         return cls(channel.name, channel.unit, channel.si_factor)
 
-    def amount(self, size: float) -> str:
+    def words_of(self, size: float) -> str:
         """Return a size, SI, in the channel's unit; what is small in thousandths."""
         size = size / self.factor
-        small = 0 < abs(size) < 0.1 and self.unit in PREFIXED
+        small = 0 < abs(size) < 0.1 and self.unit in SMALL_UNITS
         if small:
             return f"{number(1000 * size, 3)} m{self.unit}"
         return f"{number(size, 3)} {self.unit}".rstrip()
@@ -66,13 +66,13 @@ class ChannelWatch:
         channel = self.channels[fault.channel]
         name = channel.name
         if fault.kind == "stood":
-            stood = f"{name} stood at {channel.amount(fault.size)} while the rig moved"
+            stood = f"{name} stood at {channel.words_of(fault.size)} while the rig moved"
             return f"{stood}; check the sensor and its line"
         if fault.kind == "delay":
             return f"{name} comes {fault.size:.0f} samples late ({fault.size:.1f} ± {number(fault.sd, 2)})"
         if fault.kind == "offset":
             much = "too much" if fault.size > 0 else "too little"
-            reads = f"{name} reads {channel.amount(abs(fault.size))} {much}"
+            reads = f"{name} reads {channel.words_of(abs(fault.size))} {much}"
             return f"{reads}; set its zero anew, and check its mounting"
         return f"{name} reads {_factor(fault)}; check its mounting, sign and scale"
 

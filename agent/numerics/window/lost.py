@@ -68,7 +68,7 @@ class Impulses:
 
     def __init__(self, system: System, hop: int, taps: Taps) -> None:
         a = system.size.a
-        F, N, H = system.F[:a, :a], system.N[:a], system.H[0, :, :a]
+        F, N, H = system.step.predictor, system.N[:a], system.H[0, :, :a]
         states = [N]
         for _ in range(hop - 1):
             states.append(F @ states[-1])

@@ -100,9 +100,7 @@ class Scan:
         self.Sh = (fit.Si @ h[..., None])[..., 0]
         self.hSh = (h.conj() * self.Sh).sum(axis=1).real
         row = (self.Sh[:kept].conj()[:, None, :] @ fit.X)[:, 0]
-        outer = row.real[:, :, None] * row.real[:, None, :]
-        outer += row.imag[:, :, None] * row.imag[:, None, :]
-        self.outer = outer.reshape(kept, -1)
+        self.rows = np.concatenate([row.real, row.imag])
         high = self.Sh[kept:]
         self.high = np.einsum("ka,kab,kb->k", high.conj(), fit.high.R, high).real
 
@@ -131,7 +129,7 @@ class Scan:
         # without nearly all that is there now, the rank-one change has no digits left either
         bare = growth.min(axis=1) < 1 / FAR_GROWTH
         growth = np.maximum(growth, 1 / FAR_GROWTH)
-        grams = self._changed(change / growth)
+        grams = fit.G - self._taken(change / growth)
         intensity = np.empty((len(v), len(fit.intensity)))
         intensity[:] = fit.intensity
         intensity[:, a] = v
@@ -154,18 +152,21 @@ class Scan:
         logs = -0.5 * (np.log(growth) @ fit.cells.weight + 2 * pivot[:, :nb].sum(axis=1) - ends_log + rss)
         return np.where(drowned, -np.inf, self.carried[a, lo:hi] + logs), grams, ends
 
-    def _changed(self, w: FloatArray) -> FloatArray:
-        """The Gram (..., base+1, base+1) when S grows by change · d d*.
+    def _taken(self, w: FloatArray) -> FloatArray:
+        """What the Gram loses (g, base+1, base+1) when S grows by change · d d*, or gains where S shrinks.
 
-        w = change / (1 + change d*S⁻¹d) (..., C).
+        w = change / (1 + change d*S⁻¹d) (g, C), of one sign in all cells.
         """
-        fit = self.fit
-        kept = self.fit.cells.kept
-        size = self.fit.layout.base + 1
-        low = (w[..., :kept] * fit.cells.weight[:kept]) @ self.outer
-        G = fit.G - low.reshape(*w.shape[:-1], size, size)
-        G[..., -1, -1] -= w[..., kept:] @ self.high
-        return np.asarray(G)
+        kept, weight = self.fit.cells.kept, self.fit.cells.weight
+        # a table times itself: BLAS works out one half of it, and columns of lost readings are many
+        root = np.sqrt(np.abs(w[:, :kept]) * weight[:kept])
+        taken = np.empty((len(w), self.rows.shape[1], self.rows.shape[1]))
+        for out, each in zip(taken, np.hstack([root, root])[:, :, None], strict=True):
+            half = each * self.rows
+            np.matmul(half.T, half, out=out)
+        taken *= np.where(w.max(axis=1) > 0, 1.0, -1.0)[:, None, None]
+        taken[:, -1, -1] += w[:, kept:] @ self.high
+        return taken
 
     def _spread(
         self, a: int, nodes: FloatArray, weight: FloatArray, grams: FloatArray, ends: FloatArray
@@ -197,7 +198,7 @@ class Scan:
             fit.refresh()
             return
         w = change / growth
-        fit.G = self._changed(w)
+        fit.G = fit.G - self._taken(w[None])[0]
         fit.Si = fit.Si - w[:, None, None] * (self.Sh[:, :, None] * self.Sh[:, None, :].conj())
 
 

@@ -7,6 +7,7 @@ noise of some colour would have to explain it, and that reaches the bins that te
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.state import Noise
@@ -65,17 +66,29 @@ def _standing_out(
     above (b,): power in units of what is known. A peak that the response to some force has too, the measured
     motion, or what a parameter that is off would leave, is none: shapes (b, s).
     """
-    places: list[int] = []
-    sizes: list[float] = []
+    loud = _loud(above, bin_of)
+    usual = np.maximum(_medians(above, loud) / MEDIAN, 1.0)
+    high = above[loud] > tuning.LINE_POWER * usual
+    places = loud[high]
+    sizes = above[places] / usual[high]
     relative = power[:, None] / shapes
-    for k in _loud(above, bin_of).tolist():
-        about = slice(max(0, k - tuning.LINE_NEIGHBOURS), k + tuning.LINE_NEIGHBOURS + 1)
-        usual = max(float(np.median(above[about])) / MEDIAN, 1.0)
-        peaks = relative[k] > tuning.LINE_POWER * np.median(relative[about], axis=0) / MEDIAN
-        if above[k] > tuning.LINE_POWER * usual and peaks.all():
-            places.append(k)
-            sizes.append(above[k] / usual)
-    return np.array(places, dtype=np.int64), np.array(sizes)
+    peaks = relative[places] > tuning.LINE_POWER * _medians(relative, places) / MEDIAN
+    lines = peaks.all(axis=1)
+    return places[lines], sizes[lines]
+
+
+def _medians(values: FloatArray, places: IntArray) -> FloatArray:
+    """Return medians (k, ...) of values (b, ...) about each place (k,); fewer neighbours at the ends."""
+    reach = tuning.LINE_NEIGHBOURS
+    out = np.empty((len(places), *values.shape[1:]))
+    inner = (places >= reach) & (places < len(values) - reach)
+    if inner.any():
+        # where noise has a colour that is not known yet, thousands of bins are loud: all of them at once
+        about = sliding_window_view(values, 2 * reach + 1, axis=0)
+        out[inner] = np.median(about[places[inner] - reach], axis=-1)
+    for i in np.flatnonzero(~inner):
+        out[i] = np.median(values[max(0, places[i] - reach) : places[i] + reach + 1], axis=0)
+    return out
 
 
 def between(here: float, left: float, right: float) -> float:

@@ -14,9 +14,10 @@ import numpy as np
 
 from agent.numerics.model.riccati import Predictor
 from agent.numerics.model.singular import leading
-from agent.numerics.window.filtering.filters import System, carried, whitening
+from agent.numerics.window.filtering.filters import System, whitening
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.numerics.window.filtering.noise import Realisation
+from agent.numerics.window.filtering.transition import Transition
 from agent.numerics.window.tuning import NEGLIGIBLE
 from agent.types import FloatArray
 
@@ -93,8 +94,9 @@ def balanced_basis(
     system: System, real: Realisation, predictor: Predictor, plan: HopPlan, longest: int
 ) -> Basis:
     """Return the balanced coordinates for windows up to `longest` whole hops and a head."""
-    G, over = _free_responses(system, real, predictor, plan.hop)
-    factor, _ = HopFactors(_triangle(G), np.linalg.matrix_power(over, plan.hop)).over(longest + 1)
+    G, sample = _free_responses(system, real, predictor, plan.hop)
+    over = {samples: sample.power(samples).of_responses() for samples in (plan.head, plan.rest, plan.hop)}
+    factor, _ = HopFactors(_triangle(G), over[plan.hop]).over(longest + 1)
     scale = np.linalg.norm(factor, axis=0)
     scale[scale == 0] = 1.0
     s, Vt = leading(factor / scale, NEGLIGIBLE)
@@ -102,7 +104,7 @@ def balanced_basis(
     to_balanced = s[:, None] * Vt * scale  # Y
     from_balanced = (Vt.T / s) / scale[:, None]
     steps = (plan.head, plan.rest, plan.hop)
-    head, rest, hop = (to_balanced @ np.linalg.matrix_power(over, k) @ from_balanced for k in steps)
+    head, rest, hop = (to_balanced @ over[samples] @ from_balanced for samples in steps)
     size = system.size
     n_g = len(real.A)
     drift = to_balanced[:, n_g:].reshape(r, size.c, size.n).transpose(1, 0, 2)
@@ -114,40 +116,19 @@ def balanced_basis(
 
 def _free_responses(
     system: System, real: Realisation, predictor: Predictor, hop: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return G over a hop, (H p, n_g + c n), and what carries it on by one sample."""
-    size = system.size
+) -> tuple[FloatArray, Transition]:
+    """Return G over a hop, (H p, n_g + c n), and what carries it on by a sample; n_g counts lines too."""
+    a, n, p = system.size.a, system.size.n, system.size.p
     n_g = len(real.A)
-    a, n, c, p = size.a, size.n, size.c, size.p
     gain = np.zeros((n_g, p))
     gain[:a] = predictor.K
-    rest = system.F[a:, a:]
-    carry = np.zeros((n_g + len(rest), n_g + len(rest)))
-    carry[:n_g, :n_g] = real.A - gain @ real.C
-    carry[n_g:, n_g:] = rest
-    # columns: initial states of Γ, then of r once for each D_i; rows of `carry` also hold t_i
-    seen = np.zeros((1 + c, p, len(carry)))
-    seen[0, :, :n_g] = whitening(predictor) @ real.C
-    seen[1:, :, n_g:] = system.H[1:, :, a:]
-    over = _carrying(carry, n_g, n, a, c)
-    states = carried(np.eye(len(carry))[:, : n_g + n], carry, hop)
-    out = (seen.reshape(-1, len(carry)) @ states).reshape(hop, 1 + c, p, n_g + n)
-    G = np.empty((hop, p, n_g + c * n))
-    G[:, :, :n_g] = out[:, 0, :, :n_g]
-    G[:, :, n_g:] = out[:, 1:, :, n_g:].transpose(0, 2, 1, 3).reshape(hop, p, c * n)
-    return G.reshape(hop * p, -1), over
-
-
-def _carrying(carry: FloatArray, n_g: int, n: int, a: int, c: int) -> FloatArray:
-    """Return P with G(k+1) = G(k) P: Γ moves by Φ̃, D_i by A and by what r leaves in t_i, which is Γ's."""
-    A = carry[n_g : n_g + n, n_g : n_g + n]
-    P = np.zeros((n_g + c * n, n_g + c * n))
-    P[:n_g, :n_g] = carry[:n_g, :n_g]
-    P[n_g:, n_g:] = np.kron(np.eye(c), A)
-    for i in range(c):
-        from_r = carry[n_g + n + i * a : n_g + n + (i + 1) * a, n_g : n_g + n]
-        P[:a, n_g + i * n : n_g + (i + 1) * n] = from_r
-    return P
+    step = system.step
+    # what r leaves in t_i is Γ's; a line drives no filter
+    from_mean = np.pad(step.from_mean, ((0, 0), (0, n_g - a), (0, 0)))
+    sample = Transition(real.A - gain @ real.C, step.mean, from_mean)
+    drift = system.H[1:, :, a : a + n]
+    Gamma, D = sample.responses(whitening(predictor) @ real.C, drift, hop)
+    return np.concatenate([Gamma, D.reshape(hop, p, -1)], axis=2).reshape(hop * p, -1), sample
 
 
 def _triangle(matrix: FloatArray) -> FloatArray:

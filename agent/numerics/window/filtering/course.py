@@ -5,16 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.window.filtering.products import row_products
+from agent.numerics.window.filtering.transition import Transition
 from agent.numerics.window.tuning import GROUP
 from agent.types import FloatArray
 
 
-def powers_of(transition: FloatArray) -> FloatArray:
+def powers_of(over_hop: Transition) -> FloatArray:
     """Return the transposed powers 0..GROUP of a transition over a hop, (GROUP+1, nz, nz)."""
-    powers = [np.eye(len(transition))]
+    powers = [over_hop.power(0)]
     for _ in range(GROUP):
-        powers.append(transition @ powers[-1])
-    return np.ascontiguousarray(np.stack(powers).transpose(0, 2, 1))
+        powers.append(over_hop.after(powers[-1]))
+    return np.stack([np.ascontiguousarray(power.whole().T) for power in powers])
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from agent.numerics.window.filtering.course import Course, powers_of
 from agent.numerics.window.filtering.hops import HopPlan, divide
 from agent.numerics.window.filtering.noise import Realisation
 from agent.numerics.window.filtering.products import row_products
+from agent.numerics.window.filtering.transition import Transition
 from agent.types import FloatArray
 
 
@@ -46,12 +47,13 @@ class System:
     """All filters as one system of z = (x̂, r, t_1 .. t_c) and v = (y, u).
 
     Attributes:
-        F, N: (nz, nz), (nz, p+m).
+        step: z -> z after a sample.
+        N: (nz, p+m), v -> z after.
         H, J: (1+c, p, nz), (1+c, p, p+m) to e, ψ_1 .. ψ_c.
         size: dimensions.
     """
 
-    F: FloatArray
+    step: Transition
     N: FloatArray
     H: FloatArray
     J: FloatArray
@@ -65,9 +67,7 @@ def filter_system(model: StateSpace, real: Realisation, predictor: Predictor) ->
     W = whitening(predictor)
     Phi = real.A[:a, :a] - K @ C
     dims = Sizes(*size)
-    F = np.zeros((dims.z, dims.z))
-    F[:a, :a], F[a : a + n, a : a + n] = Phi, model.A
-    F[a + n :, a + n :] = np.kron(np.eye(c), Phi)
+    from_mean = np.zeros((c, a, n))
     N = np.zeros((dims.z, p + m))
     N[:a] = np.hstack([K, _padded(model.B, a) - K @ model.D])
     N[a : a + n, p:] = model.B
@@ -76,11 +76,11 @@ def filter_system(model: StateSpace, real: Realisation, predictor: Predictor) ->
     H[0, :, :a], J[0] = -W @ C, W @ np.hstack([np.eye(p), -model.D])
     for i in range(c):
         own = slice(a + n + i * a, a + n + (i + 1) * a)
-        F[own, a : a + n] = _padded(model.dA[i], a) - K @ model.dC[i]
+        from_mean[i] = _padded(model.dA[i], a) - K @ model.dC[i]
         N[own, p:] = _padded(model.dB[i], a) - K @ model.dD[i]
         H[1 + i, :, own], H[1 + i, :, a : a + n] = W @ C, W @ model.dC[i]
         J[1 + i, :, p:] = W @ model.dD[i]
-    return System(F, N, H, J, dims)
+    return System(Transition(Phi, model.A, from_mean), N, H, J, dims)
 
 
 def whitening(predictor: Predictor) -> FloatArray:
@@ -98,7 +98,8 @@ class Cell:
         tangent: (a, L p), tᵢ -> ψᵢ, the same for all i.
         into_predictor: (L(p+m), a), v -> x̂ after.
         into_mean: (L m, n + c a), u -> (r, t) after.
-        transition: (nz, nz), transposed.
+        along: (a, a), x̂ -> x̂ after, and each tᵢ -> itself.
+        from_mean: (n, n + c a), r -> (r, t) after.
         size: dimensions.
     """
 
@@ -108,7 +109,8 @@ class Cell:
     tangent: FloatArray
     into_predictor: FloatArray
     into_mean: FloatArray
-    transition: FloatArray
+    along: FloatArray
+    from_mean: FloatArray
     size: Sizes
 
     def forced(self, v: FloatArray) -> FloatArray:
@@ -118,6 +120,17 @@ class Cell:
         out = np.empty((count, self.size.z))
         out[:, :a] = row_products(v.reshape(count, -1), self.into_predictor)
         out[:, a:] = row_products(v[:, :, self.size.p :].reshape(count, -1), self.into_mean)
+        return out
+
+    def carried(self, z: FloatArray) -> FloatArray:
+        """Return the states (N, nz) after cells with no inputs, from states z (N, nz)."""
+        a, n = self.size.a, self.size.n
+        out = np.empty_like(z)
+        out[:, a:] = row_products(z[:, a : a + n], self.from_mean)
+        alone = np.concatenate([z[:, :a], z[:, a + n :]], axis=1)  # x̂ and the tangents move alike
+        moved = row_products(alone.reshape(-1, a), self.along).reshape(alone.shape)
+        out[:, :a] = moved[:, :a]
+        out[:, a + n :] += moved[:, a:]
         return out
 
     def write(self, v: FloatArray, z: FloatArray, out: FloatArray) -> None:
@@ -148,7 +161,7 @@ class Filters:
         self.size = system.size
         self.head, self.rest = divide(plan.head), divide(plan.rest)
         self._cells = lifted(system, (*self.head, *self.rest))
-        self._over_hops = powers_of(np.linalg.matrix_power(system.F, plan.hop))
+        self._over_hops = powers_of(system.step.power(plan.hop))
 
     def __reduce__(self) -> tuple[type["Filters"], tuple[System, HopPlan]]:
         """Return what they are made of: the rest is a megabyte, in each state of a rig that is remembered."""
@@ -164,7 +177,7 @@ class Filters:
         forced = self.forced(lengths, v)
         gained = forced[0]
         for length, one in zip(lengths[1:], forced[1:], strict=True):
-            gained = row_products(gained, self._cells[length].transition) + one
+            gained = self._cells[length].carried(gained) + one
         states, course = course.over(self._over_hops, gained)
         return states, forced, course
 
@@ -184,56 +197,61 @@ class Filters:
             stop = start + length
             cell = self._cells[length]
             cell.write(v[:, start:stop], z, out[:, :, start * p : stop * p])
-            z = row_products(z, cell.transition) + gained
+            z = cell.carried(z) + gained
             start = stop
         return out, z
-
-
-def carried(first: FloatArray, step: FloatArray, count: int) -> FloatArray:
-    """Return first (n, k), step first, step² first, .. as (count, n, k); step (n, n).
-
-    Where k is far less than n, squaring the step would take longer than going on one by one.
-    """
-    out = np.empty((count, *first.shape))
-    for each in out:
-        each[:] = first
-        first = step @ first
-    return out
 
 
 def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:
     """Lift the filters to each of the lengths, all cut from the longest."""
     longest = max(lengths)
-    nz = system.size.z
-    rows = system.H.reshape(-1, nz)
-    free = carried(rows.T, system.F.T, longest).transpose(0, 2, 1).reshape(longest, *system.H.shape)  # H F^k
-    forced = carried(system.N, system.F, longest)  # F^k N
-    powers = {length: np.linalg.matrix_power(system.F, length) for length in set(lengths)}
-    later = (rows @ forced[: longest - 1]).reshape(-1, *system.J.shape)
+    step, size = system.step, system.size
+    a, n = size.a, size.n
+    free = step.responses(system.H[1, :, a + n : a + n + a], system.H[1:, :, a : a + n], longest)
+    forced = _forced(step.whole(), system.N, longest)
+    later = (system.H.reshape(-1, size.z) @ forced[: longest - 1]).reshape(-1, *system.J.shape)
     markov = np.concatenate([system.J[None], later])
-    impulse = np.zeros((*system.J.shape[:1], longest, system.size.p, longest, system.J.shape[-1]))
+    impulse = np.zeros((*system.J.shape[:1], longest, size.p, longest, system.J.shape[-1]))
     for k in range(longest):
         impulse[:, k, :, : k + 1] = markov[k::-1].transpose(1, 2, 0, 3)
-    return {L: _cell(system.size, powers[L], free[:L], forced[:L], impulse) for L in sorted(powers)}
+    return {L: _cell(size, step.power(L), free, forced[:L], impulse) for L in sorted(set(lengths))}
+
+
+def _forced(F: FloatArray, N: FloatArray, count: int) -> FloatArray:
+    """Return N (nz, k), F N, F² N, .. as (count, nz, k); one by one, as k is far less than nz."""
+    out = np.empty((count, *N.shape))
+    for each in out:
+        each[:] = N
+        N = F @ N
+    return out
 
 
 def _cell(
-    size: Sizes, transition: FloatArray, free: FloatArray, forced: FloatArray, impulse: FloatArray
+    size: Sizes,
+    over: Transition,
+    free: tuple[FloatArray, FloatArray],
+    forced: FloatArray,
+    impulse: FloatArray,
 ) -> Cell:
-    a, n, p, c = size.a, size.n, size.p, size.c
-    L = len(free)
+    """Cut a cell from what is lifted to at least its length.
+
+    free: Γ (.., p, a), D (.., p, c, n);  forced (L, nz, p+m): states after an input so many samples ago.
+    """
+    a, n, c = size.a, size.n, size.c
+    L = len(forced)
     T = impulse[:, :L, :, :L]
-    rows = L * p
-    innovation = np.vstack([T[0].reshape(rows, -1).T, free[:, 0, :, :a].reshape(rows, a).T])
-    from_mean = free[:, 1:, :, a : a + n].transpose(1, 0, 2, 3).reshape(c * rows, n).T
-    tangent = free[:, 1, :, a + n : 2 * a + n].reshape(rows, a).T
+    rows = L * size.p
+    tangent = free[0][:L].reshape(rows, a).T
+    innovation = np.vstack([T[0].reshape(rows, -1).T, -tangent])
+    from_mean = free[1][:L].transpose(2, 0, 1, 3).reshape(c * rows, n).T
     after = forced[::-1]
     return Cell(
-        L, innovation, np.vstack([T[1:, ..., p:].reshape(c * rows, -1).T, from_mean]),
+        L, innovation, np.vstack([T[1:, ..., size.p :].reshape(c * rows, -1).T, from_mean]),
         np.ascontiguousarray(tangent),
         np.ascontiguousarray(after[:, :a].transpose(0, 2, 1).reshape(-1, a)),
-        np.ascontiguousarray(after[:, a:, p:].transpose(0, 2, 1).reshape(L * size.m, -1)),
-        np.ascontiguousarray(transition.T), size,
+        np.ascontiguousarray(after[:, a:, size.p :].transpose(0, 2, 1).reshape(L * size.m, -1)),
+        np.ascontiguousarray(over.predictor.T),
+        np.hstack([over.mean.T, over.from_mean.reshape(-1, n).T]), size,
     )  # fmt: skip
 
 

@@ -1,9 +1,12 @@
 """Where a line stands between its bin and the one beside it, and what of it leaks into others."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from agent.numerics.inference.noise.lines import _leakage, between
+from agent.numerics.inference import tuning
+from agent.numerics.inference.noise.lines import MEDIAN, _leakage, _standing_out, between
 
 BINS = np.arange(501)
 
@@ -47,3 +50,45 @@ def test_what_forces_leave_beside_a_line_does_not_leak_with_it() -> None:
     beyond = np.abs(BINS - 40) > 8
     assert _leakage(level, power, BINS, alone=True)[beyond].max() < 10
     assert _leakage(level, power, BINS, alone=False)[beyond].max() > 1000  # windows too short to show colours
+
+
+def coloured_power(bins: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Power (b,) far above what is known in all bins, with lines at the ends and inside; shapes (b, 3)."""
+    rng = np.random.default_rng(seed)
+    power = 50 * rng.exponential(size=bins)
+    power[[9, 30, bins // 2, bins - 3]] *= 400
+    shapes = rng.exponential(size=(bins, 3)) + 0.1
+    shapes[30, 1] *= 400  # the motion has that peak too
+    return power, shapes
+
+
+@pytest.mark.parametrize("bins", [40, 51, 400])
+def test_lines_are_bins_that_stand_out_from_those_within_reach(bins: int) -> None:
+    power, shapes = coloured_power(bins, bins)
+    reach, least = tuning.LINE_NEIGHBOURS, tuning.LINE_POWER / MEDIAN
+    places, sizes = _standing_out(power, np.arange(bins), power, shapes)
+    found = {}
+    for k in range(tuning.LINE_CYCLES, bins):
+        about = slice(max(0, k - reach), k + reach + 1)
+        usual = float(np.median(power[about]))
+        beside = np.median(power[about, None] / shapes[about], axis=0)
+        is_high = power[k] > max(least * usual, tuning.LINE_POWER)
+        if is_high and (power[k] / shapes[k] > least * beside).all():
+            found[k] = power[k] / max(usual / MEDIAN, 1.0)
+    assert dict(zip(places.tolist(), sizes.tolist(), strict=True)) == found
+    assert {9, bins - 3} <= set(found)
+    assert 30 not in found
+
+
+def test_lines_are_sought_in_all_loud_bins_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    power, shapes = coloured_power(4000, 1)
+    median, calls = np.median, []
+
+    def counted(*args: Any, **more: Any) -> Any:
+        calls.append(args)
+        return median(*args, **more)
+
+    monkeypatch.setattr(np, "median", counted)
+    _standing_out(power, np.arange(4000), power, shapes)
+    # whole neighbourhoods together, those at the ends one by one
+    assert len(calls) <= 2 + 4 * tuning.LINE_NEIGHBOURS

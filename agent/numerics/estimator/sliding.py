@@ -177,7 +177,7 @@ class SlidingEstimator:
         still = self._still(record, reading.index)
         frozen = faults.frozen_in(record, reading.index, still)
         broken = reading.broken(self.explainer.learner.threshold)
-        still |= self._held(record, reading.index, broken | reading.far)
+        still |= self._held_fast(record, reading.index, broken | reading.far)
         broken = (broken | hollow) & ~still | frozen
         rows = Outcome.of(reading, self.settings.enough_sd)
         ended = np.empty(len(rows.index), dtype=np.int64)
@@ -240,7 +240,7 @@ class SlidingEstimator:
         )  # of a standard deviation from so many samples
         return rests | record.quiet_in(index, window, chance * self.explainer.learner.spread(known.noise))
 
-    def _held(self, record: Record, index: IntArray, other: BoolArray) -> BoolArray:
+    def _held_fast(self, record: Record, index: IntArray, other: BoolArray) -> BoolArray:
         """(N,) windows, of those that are other than what is known, in which something holds the machine.
 
         A mass that dry friction holds rests where its springs would move it: as if they were gone. Of how it

@@ -85,4 +85,3 @@ def _factor(fault: Fault) -> str:
         return f"{number(1 + fault.size, 3)} times what it should"
     larger = "more" if fault.size > 0 else "less"
     return f"{number(100 * abs(fault.size), 3)} ± {number(100 * fault.sd, 2)} % {larger} than it should"
-

@@ -6,13 +6,17 @@ are computed again; a Dask scheduler gives the part of a dead worker to another 
 
 import multiprocessing
 import os
+import pickle
 import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol
 
 from agent import __version__
-from agent.errors import UsageError
+from agent.errors import StoreError, UsageError
 from agent.runtime.process.parent import end_with_parent
 from agent.runtime.tuning import SCHEDULER_S
 
@@ -46,6 +50,10 @@ class Pool(Protocol):
 class LocalPool:
     """Processes of this machine, begun by a thread: a signal that ends the command leaves none half begun.
 
+    They leave what they computed in files and answer with their names: of a long answer a process that dies
+    meanwhile leaves a part in the pipe, and the executor would wait for the rest for ever. A name is written
+    whole or not at all.
+
     Args:
         size: how many; None for one a core.
     """
@@ -54,6 +62,7 @@ class LocalPool:
 
     def __init__(self, size: int | None = None) -> None:
         self.size = size or len(os.sched_getaffinity(0))
+        self._folder = TemporaryDirectory(prefix="deltak-parts-")
         self._beginner = ThreadPoolExecutor(1)
         self._executor: Executor = self._made()
 
@@ -64,7 +73,10 @@ class LocalPool:
         return ProcessPoolExecutor(self.size, context, initializer=_begun)
 
     def submit(self, act: Compute, *values: object) -> Future[Any]:
-        return self._beginner.submit(self._executor.submit, act, *values).result()
+        begin = partial(self._executor.submit, _left, self._folder.name, act, *values)
+        future: Future[Any] = Future()
+        self._beginner.submit(begin).result().add_done_callback(partial(_fetch, future))
+        return future
 
     def renew(self) -> None:
         self._executor.shutdown(wait=True)
@@ -73,6 +85,7 @@ class LocalPool:
     def close(self) -> None:
         self._beginner.shutdown(wait=True)
         self._executor.shutdown(wait=True, cancel_futures=True)
+        self._folder.cleanup()
 
 
 class DaskPool:
@@ -146,6 +159,39 @@ def _client(address: str) -> "Client":
         return Client(address, timeout=SCHEDULER_S, set_as_default=False)
     except (OSError, TimeoutError) as error:
         raise _unusable(address, "no scheduler answers", "see that it runs, and its address") from error
+
+
+def _left(folder: str, act: Compute, *values: object) -> str:
+    """Compute something, leave it in a file and return its name. Raises StoreError, and what it raises."""
+    answer = pickle.dumps(act(*values), 5)
+    try:
+        with NamedTemporaryFile(dir=folder, delete=False) as file:
+            file.write(answer)
+    except OSError as error:
+        raise _unkept(folder, error) from error
+    return file.name
+
+
+def _fetch(future: Future[Any], left: Future[str]) -> None:
+    """Give a future what was left in a file, or what was raised instead."""
+    if left.cancelled():
+        future.cancel()
+    elif (error := left.exception()) is not None:
+        future.set_exception(error)
+    else:
+        path = Path(left.result())
+        try:
+            answer = pickle.loads(path.read_bytes())  # noqa: S301 - a process of ours left it
+            path.unlink()
+        except OSError as lost:
+            future.set_exception(_unkept(str(path.parent), lost))
+        else:
+            future.set_result(answer)
+
+
+def _unkept(folder: str, error: OSError) -> StoreError:
+    what = f"cannot hold what was computed: {error}"
+    return StoreError.at(folder, what, "make room there, or set TMPDIR to another folder")
 
 
 def _begun() -> None:

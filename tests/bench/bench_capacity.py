@@ -14,6 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import json
 import logging
+import math
 import subprocess
 import sys
 import threading
@@ -30,19 +31,20 @@ from agent.blocks.acquisition.single_source import SingleSource
 from agent.blocks.estimation import Estimation
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.quality import Quality
-from agent.clock import monotonic_ns
 from agent.config import load_many
 from agent.evaluation.demo.bus import COARSE, Wire, write_config
 from agent.runtime.service import Service
-from agent.runtime.sources import Connection
 from agent.runtime.workers.service import SpreadService
 from sim_bus.player import Player
 from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario
 
-WARM_S, MEASURED_S = 6.0, 10.0
+BEGINNING_S, MOST_BEGINNING_S, MEASURED_S = 16.0, 90.0, 10.0
+"""Rigs that begin together learn from window after window: how late they are then is one figure; what one
+core carries, measured once they keep up, another."""
 SPREAD_WARM_S = 15.0
 """With workers: so many rigs learn their first windows at once that all cores are needed for some seconds."""
+KEEPS_UP_S = 1.0
 RATE_HZ = 1000.0
 GRAIN_S = 0.01
 """For so long samples gather in a device, as in those that fill a frame or a packet before they send it."""
@@ -70,7 +72,8 @@ class Capacity:
         rigs: how many ran.
         cost: processor seconds a second, by stage.
         lost: samples that the agent lost or refused, and gaps, by reason.
-        lag_s: how long the oldest block waited.
+        lag_s: age of the newest sample that was computed, of the latest rig;  late_s: after BEGINNING_S.
+        begun_s: when none was late any more.
         pace: samples that came, as a share of those that were due.
         unsent: samples that the devices could not send.
         devices: processor seconds a second of the devices' process.
@@ -85,6 +88,8 @@ class Capacity:
     unsent: int
     devices: float
     sent: float = 0.0
+    late_s: float = 0.0
+    begun_s: float = 0.0
 
     @property
     def played(self) -> bool:
@@ -94,7 +99,7 @@ class Capacity:
     @property
     def kept_up(self) -> bool:
         """Nothing was lost and nothing waits."""
-        return self.played and not self.lost and self.lag_s < 1.0
+        return self.played and not self.lost and self.lag_s < KEEPS_UP_S
 
     @property
     def sustained(self) -> float:
@@ -188,7 +193,12 @@ def _measured_stages() -> Counter[str]:
 
 
 def _watch(service: Service, main: int, spent: Counter[str], found: dict[str, Any]) -> None:
-    time.sleep(WARM_S)
+    started = time.monotonic()
+    time.sleep(BEGINNING_S)
+    found["late_s"] = _late_s(service)
+    while _late_s(service) > KEEPS_UP_S and time.monotonic() - started < MOST_BEGINNING_S:
+        time.sleep(0.2)
+    found["begun_s"] = time.monotonic() - started
     before, stages, came, begun = _threads(main), Counter(spent), _received(service), time.monotonic()
     sent = _sent(service)
     print("warm", flush=True)
@@ -200,7 +210,7 @@ def _watch(service: Service, main: int, spent: Counter[str], found: dict[str, An
     cost["hand over"] = max(0.0, cost.pop("main", 0.0) - sum(inner.values()))
     found["cost"] = cost | inner
     found["sent"] = (_sent(service) - sent) / seconds
-    found["lag_s"] = max(_waited_s(connection) for connection in service.connections)
+    found["lag_s"] = _late_s(service)
     service.stop()
 
 
@@ -241,11 +251,10 @@ def _received(service: Service) -> int:
     return sum(connection._driver.counts.received for connection in service.connections)
 
 
-def _waited_s(connection: Connection) -> float:
-    """Return for how long the oldest block has waited to be computed."""
-    with connection._lock:
-        oldest = connection._waiting[0].block.arrival_ns if connection._waiting else None
-    return 0.0 if oldest is None else (monotonic_ns() - oldest) / 1e9
+def _late_s(service: Service) -> float:
+    """Return the age of the newest sample that was computed, of the rig that is latest."""
+    ages = [rig.lag_s() for rig in service.rigs.values()]
+    return max(age for age in ages if age is not None) if any(ages) else math.inf
 
 
 def _threads(main: int) -> Counter[str]:
@@ -283,7 +292,7 @@ def measure(bus: str, rigs: int, more: str = "", workers: int = 1) -> Capacity:
         lost += Counter(one["dropped"]) + Counter(one["rejected"]) + Counter(gaps=one["gaps"])
     return Capacity(
         rigs, found["cost"], dict(lost), found["lag_s"], found["pace"], played["unsent"], played["cost"],
-        found["sent"],
+        found["sent"], found.get("late_s", 0.0), found.get("begun_s", 0.0),
     )  # fmt: skip
 
 
@@ -323,6 +332,8 @@ def reported(bus: str, found: Capacity) -> str:
     )
     return (
         f"{head}, limited by {found.limit}\n  lost: {lost}; {found.lag_s:.2f} s behind\n"
+        f"  begun together: {found.late_s:.2f} s behind after {BEGINNING_S:.0f} s, none after "
+        f"{found.begun_s:.0f} s\n"
         f"  of a core: {costs}\n  {sent}"
     )
 

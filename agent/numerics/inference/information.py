@@ -154,6 +154,6 @@ def _update_about(mean: FloatArray, covariance: FloatArray, said: Information) -
     least = said.cost - score @ asked + np.log(values[kept]).sum()
     return _Components(
         (whitened**2).sum(axis=1),
-        least - 2 * np.linalg.slogdet(half)[1],
+        least - 2 * np.log(np.abs(half.diagonal(axis1=1, axis2=2))).sum(axis=1),
         mean + (across @ (half.swapaxes(1, 2) @ whitened[..., None]))[..., 0],
     )

@@ -28,7 +28,7 @@ def inverse(M: FloatArray) -> FloatArray:
 
 
 def inverse_root(M: FloatArray) -> FloatArray:
-    """Return H (..., k, k) with Hᵀ H = M⁻¹ of symmetric positive M (..., k, k).
+    """Return triangular H (..., k, k) with Hᵀ H = M⁻¹ of symmetric positive M (..., k, k).
 
     Where rounding left M indefinite, eigenvalues below the jitter are raised to it.
     """
@@ -44,10 +44,25 @@ def _inverse_root(M: FloatArray) -> FloatArray:
         if not failed:
             return np.asarray(dtrtri(factor, lower=1)[0])
     try:
-        return np.linalg.inv(np.linalg.cholesky(M))
+        return _inverse_of_triangle(np.linalg.cholesky(M))
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(M)
-        return np.asarray(vectors.swapaxes(-1, -2) / np.sqrt(np.maximum(values, JITTER))[..., :, None])
+        half = vectors.swapaxes(-1, -2) / np.sqrt(np.maximum(values, JITTER))[..., :, None]
+        return np.asarray(np.linalg.qr(half, mode="r"))
+
+
+def _inverse_of_triangle(L: FloatArray) -> FloatArray:
+    """Return the inverses of lower triangles L (g, k, k), a row of all or a whole one at a time."""
+    out = np.zeros_like(L)
+    if len(L) <= L.shape[-1]:
+        for found, one in zip(out, L, strict=True):
+            found[:] = dtrtri(one, lower=1)[0]
+        return out
+    for i in range(L.shape[-1]):
+        out[:, i, i] = 1.0
+        out[:, i, :i] = -(L[:, i, None, :i] @ out[:, :i, :i])[:, 0]
+        out[:, i, : i + 1] /= L[:, i, i, None]
+    return out
 
 
 def root(P: FloatArray) -> FloatArray:

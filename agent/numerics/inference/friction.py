@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.tuning import UNSEEN
@@ -32,31 +31,29 @@ class Friction:
     shift: FloatArray
 
 
-def column(
-    response: Response, states: ComplexArray, rubbing: Rubbing, output_gain: FloatArray
+def columns(
+    response: Response, states: ComplexArray, rubbings: tuple[Rubbing, ...], output_gain: FloatArray
 ) -> ComplexArray:
-    """Return the response (kept, p) to a force of 1 against the speed across a damper; states (kept, n)."""
+    """Return the responses (kept, p, r) to forces of 1 against speeds across dampers; states (kept, n)."""
     kept, window = response.bins.kept, response.bins.window
-    speed = np.fft.irfft(states @ rubbing.speed, window) * np.sqrt(window)
-    sign = np.where(np.abs(speed) > tuning.CREEP * np.abs(speed).max(), np.sign(speed), 0.0)
-    signal = unitary(sign)[:kept]
-    pushes = [-w * response.pushed(int(j), signal) for j, w in enumerate(rubbing.push) if w]
-    return np.asarray(np.sum(pushes, axis=0) * output_gain)
+    across = np.array([rubbing.speed for rubbing in rubbings])
+    push = np.array([rubbing.push for rubbing in rubbings])
+    speed = np.fft.irfft(states @ across.T, window, axis=0) * np.sqrt(window)
+    sign = np.where(np.abs(speed) > tuning.CREEP * np.abs(speed).max(axis=0), np.sign(speed), 0.0)
+    return np.asarray(response.pushed(-push.T, unitary(sign)[:kept]) * output_gain[:, None])
 
 
 def frictions(
-    gram: FloatArray, R: FloatArray, b: FloatArray, psi: slice, dof: float, misfit: float
+    own: FloatArray, cross: FloatArray, V: FloatArray, fit: FloatArray, psi: slice, dof: float, misfit: float
 ) -> list[Friction]:
-    """Weigh columns, one of them at a time, that stand in a Gram after the base, residual last.
+    """Weigh columns, one of them at a time, beside a regression's base.
 
-    R, b: the base's prior.
+    own: (r,) their power;  cross: (base + 1, r) their products with the base, and with the residual;  V, fit:
+    (base, base) and (base,) covariance and estimate of the base without them.
     """
-    nb = len(R)
-    more = slice(nb, -1)
-    own = gram.diagonal()[more]
-    along = inverse(gram[:nb, :nb] + R) @ gram[:nb, more]
-    left = own - (gram[:nb, more] * along).sum(axis=0)
-    score = gram[more, -1] - (gram[:nb, -1] + b) @ along
+    along = V @ cross[:-1]
+    left = own - (cross[:-1] * along).sum(axis=0)
+    score = cross[-1] - fit @ cross[:-1]
     nothing = Friction(-np.inf, 0.0, np.zeros(psi.stop - psi.start))
     return [
         # the columns of the model may say all that one does

@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants, apart_of, hypotheses_of
-from agent.numerics.inference.friction import column, frictions
+from agent.numerics.inference.friction import columns, frictions
 from agent.numerics.inference.information import Information, Update
 from agent.numerics.inference.linearise import Linearised, Lineariser
 from agent.numerics.inference.mixture import NORMAL_975, interval95
@@ -191,12 +191,11 @@ class Learner:
             return False
         layout, response = at.regression.layout, at.cells.response
         gain = Regressor(self.rig, response, self.sources, known.eta).output_gain
-        more = [column(response, at.regression.states, rubbing, gain) for rubbing in self.rig.rubbings]
-        base = at.regression.X[..., : layout.base]
-        X = np.concatenate([base, np.stack(more, axis=2), at.regression.X[..., -1:]], axis=2)
+        more = columns(response, at.regression.states, self.rig.rubbings, gain)
         misfit = max(1.0, float(known.scatter.within.max()))
-        gram = at.cells.gram(at.Si, X)
-        found = frictions(gram, at.ridge.R, at.ridge.b, layout.psi, posterior.dof, misfit)
+        own = at.cells.gram(at.Si, more).diagonal()
+        cross = at.cells.products(at.Si, at.regression.X, more)
+        found = frictions(own, cross, *at.fitted, layout.psi, posterior.dof, misfit)
         return any(
             one.evidence > tuning.FRICTION_EVIDENCE and np.any(np.abs(at.unit * one.shift) > posterior.sd)
             for one in found
@@ -326,7 +325,7 @@ class Learner:
         return self._said(at, known.eta, self._temper(at, known))
 
     def _said(self, at: Linearised, eta: FloatArray, temper: float) -> Information:
-        S, g, _, V, Z = at.eliminated
+        (S, g), (_, V, Z) = at.told, at.given
         curved = np.vstack([Z, np.eye(len(eta))]) @ self.apart
         tells = np.concatenate([1.0 / np.diag(V), np.diag(S)])
         return Information(S / temper, g / temper, eta, at.cost / temper, curved, tells / temper)
@@ -341,7 +340,6 @@ class Learner:
 
         Return whether it is anywhere else now.
         """
-        temper = self._temper(at, known)
         points = [at]
         while (place := update.farthest()) is not None:
             near = int(np.argmin([said.neglected(place[None])[0] for said in update.said]))
@@ -349,14 +347,14 @@ class Learner:
             there = self.lineariser.elsewhere(points[near], window, begun, place)
             if there is not None:
                 points.append(there)
-                update.also(self._said(there, place, temper))
+                update.also(self._said(there, place, self._temper(at, known)))
         return len(points) > 1
 
     def _posterior(self, at: Linearised, known: Knowledge, after: Constants | None = None) -> Posterior:
         """Marginal posterior of the parameters over the hypotheses on the constants."""
         if after is None:
             after = known.constants.updated(self._information(at, known))
-        _, _, alone, V, Z = at.eliminated
+        alone, V, Z = at.given
         u = at.unit
         own = np.diag(V)
         here = at.theta + u * alone
@@ -389,11 +387,10 @@ class Learner:
         """Whether a window holds a change, and whether what is known explains it."""
         layout = at.regression.layout
         nb = layout.base
-        V = inverse(at.G[:nb, :nb] + at.ridge.R)
-        fit = V @ (at.G[:nb, -1] + at.ridge.b)
+        fit = at.fitted[1]
         rss = float(at.G[-1, -1] - (at.G[:nb, -1] + at.ridge.b) @ fit)
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
-        raw = np.array([self._jump(at, V, at.G[:, -1], fit, i) for i in range(layout.cuts)])
+        raw = self._jumped(at, at.G[:, -1], fit)
         left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
         expected = chance(at.alike * dof, known.noise.unsure)
         excess, beyond = np.log(left / dof) / expected * bool(known.noise.windows)
@@ -402,21 +399,19 @@ class Learner:
         slide = 0.0
         slid = np.zeros(self.rig.q)
         if at.slide is not None:
-            by_slide, slid = self._slid(at, V)
+            by_slide, slid = self._slid(at)
             jump = np.maximum(np.sqrt(jump) - np.sqrt(by_slide / misfit), 0.0) ** 2
             raw = np.maximum(np.sqrt(raw) - np.sqrt(by_slide), 0.0) ** 2
             slide = float(np.sqrt(by_slide / misfit).max(initial=0.0))
         return _Tests(jump, raw, float(excess), float(beyond), rss / dof, dof, slide, slid)
 
-    def _slid(self, at: Linearised, V: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _slid(self, at: Linearised) -> tuple[FloatArray, FloatArray]:
         """Score statistics (cuts,) of jumps, and parameters (q,), where a gain changes evenly in a window."""
         assert at.slide is not None  # noqa: S101 - set by whoever calls
-        nb = at.regression.layout.base
-        columns = np.concatenate([at.regression.X[..., :-1], at.slide[..., None]], axis=2)
-        score = at.cells.gram(at.Si, columns)[:, -1]
-        fit = V @ score[:nb]
-        jumps = np.array([self._jump(at, V, score, fit, i) for i in range(at.regression.layout.cuts)])
-        return jumps, at.unit * fit[at.regression.layout.psi]
+        layout = at.regression.layout
+        score = at.cells.products(at.Si, at.regression.X[..., :-1], at.slide[..., None])[:, 0]
+        fit = at.fitted[0] @ score[: layout.base]
+        return self._jumped(at, score, fit), at.unit * fit[layout.psi]
 
     def line(self, window: Window, known: Knowledge) -> Line:
         """Return what a window says if its parameters move on and on through it.
@@ -463,17 +458,18 @@ class Learner:
         moves = bool(np.any(np.abs(fit[nb:]) > tuning.AGREE_SD * np.sqrt(np.diag(V)[nb:] * misfit)))
         return Line(said, np.asarray(np.maximum(middle, self.rig.lower)), moves)
 
-    def _jump(self, at: Linearised, V: FloatArray, score: FloatArray, fit: FloatArray, i: int) -> float:
-        """Score statistic of a jump of all parameters at cut i (Willsky & Jones, IEEE TAC 21 (1976) 108).
+    def _jumped(self, at: Linearised, score: FloatArray, fit: FloatArray) -> FloatArray:
+        """Score statistics (cuts,) of jumps of all parameters (Willsky & Jones, IEEE TAC 21 (1976) 108).
 
         score: of all columns;  fit (base,): what the base columns take of it.
         """
-        nb = at.regression.layout.base
-        t = at.regression.layout.jump(i)
-        cross = at.G[:nb, t]
-        J = at.G[t, t] - cross.T @ V @ cross
-        g = score[t] - cross.T @ fit
-        return quadratic(J, g)
+        layout, V = at.regression.layout, at.fitted[0]
+        jumps = [layout.jump(i) for i in range(layout.cuts)]
+        if not jumps:
+            return np.zeros(0)
+        cross = np.stack([at.G[: layout.base, t].T for t in jumps])
+        J = np.stack([at.G[t, t] for t in jumps]) - cross @ V @ cross.transpose(0, 2, 1)
+        return quadratic(J, np.stack([score[t] for t in jumps]) - cross @ fit)
 
     def _ratio(self, at: Linearised) -> FloatArray:
         """Jackknife ratio (q,) of this window."""
@@ -482,8 +478,7 @@ class Learner:
         L = np.linalg.cholesky(at.Si[:kept])
         used = (at.cells.weight[:kept] > 0)[:, None, None]
         whitened = used * (L.conj().transpose(0, 2, 1) @ at.regression.X)
-        low = float(at.cells.gram(at.Si, at.regression.X[..., -1:])[0, 0])
-        blocks = block_grams(whitened, self.window, max(0.0, float(at.G[-1, -1]) - low))
+        blocks = block_grams(whitened, self.window, max(0.0, float(at.G[-1, -1]) - at.power))
         return block_ratio(blocks, at.ridge.R, at.ridge.b, layout.psi)
 
 
@@ -501,7 +496,7 @@ def _met(window: Window, known: Knowledge) -> Knowledge:
 
 def _estimate(at: Linearised, eta: FloatArray) -> Estimate:
     """Return what a window says with the constants eta (c,) at which it is linearised."""
-    _, _, alone, V, Z = at.eliminated
+    alone, V, Z = at.given
     unit = at.unit
     return Estimate(at.theta + unit * alone, at.repeats * np.outer(unit, unit) * V, -unit[:, None] * Z, eta)
 

@@ -56,27 +56,49 @@ class Linearised:
     rounding: Rounding | None = None
 
     @cached_property
-    def eliminated(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """All but the constants eliminated: their information and score, θ at η = 0, its variance, dθ/dη."""
-        layout = self.regression.layout
-        na, nb, psi = layout.xi.start, layout.base, layout.psi
-        M = self.G[:na, :na] + self.ridge.R[:na, :na]
-        V = inverse(M)
-        rest = self.G[:na, na:nb]
-        alone = refined(M, V, self.G[:na, -1] + self.ridge.b[:na])
-        Z = refined(M, V, rest)  # what the constants are known by is a small difference of large numbers
-        S = self.G[na:nb, na:nb] - rest.T @ Z
-        g = self.G[na:nb, -1] - rest.T @ alone
-        return *shown(S, g, np.diag(self.G)[na:nb]), alone[psi], V[psi, psi], Z[psi]
+    def fitted(self) -> tuple[FloatArray, FloatArray]:
+        """Covariance (base, base) of all base columns' deviations, and their estimate (base,)."""
+        nb = self.regression.layout.base
+        V = inverse(self.G[:nb, :nb] + self.ridge.R)
+        return V, V @ (self.G[:nb, -1] + self.ridge.b)
 
     @cached_property
+    def _alone(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Estimates (na,) at η = 0 of all but the constants, their covariance, and what constants move."""
+        layout = self.regression.layout
+        na, nb = layout.xi.start, layout.base
+        M = self.G[:na, :na] + self.ridge.R[:na, :na]
+        V = inverse(M)
+        alone = refined(M, V, self.G[:na, -1] + self.ridge.b[:na])
+        # what the constants are known by is a small difference of large numbers
+        return alone, V, refined(M, V, self.G[:na, na:nb])
+
+    @property
+    def given(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """With the constants given: θ at η = 0, its variance, dθ/dη."""
+        psi = self.regression.layout.psi
+        alone, V, Z = self._alone
+        return alone[psi], V[psi, psi], Z[psi]
+
+    @cached_property
+    def told(self) -> tuple[FloatArray, FloatArray]:
+        """Information and score of the constants, all else eliminated."""
+        xi = self.regression.layout.xi
+        alone, _, Z = self._alone
+        rest = self.G[: xi.start, xi]
+        S, g = self.G[xi, xi] - rest.T @ Z, self.G[xi, -1] - rest.T @ alone
+        return shown(S, g, np.diag(self.G)[xi])
+
+    @cached_property
+    def power(self) -> float:
+        """Power of the residual on the bins kept."""
+        return float(self.cells.gram(self.Si, self.regression.X[..., -1:])[0, 0])
+
+    @property
     def cost(self) -> float:
         """Twice the negative log likelihood of the bins kept, all but the constants eliminated."""
         na = self.regression.layout.xi.start
-        score = self.G[:na, -1] + self.ridge.b[:na]
-        M = self.G[:na, :na] + self.ridge.R[:na, :na]
-        power = self.cells.gram(self.Si, self.regression.X[..., -1:])
-        return float(power[0, 0] - score @ refined(M, inverse(M), score))
+        return self.power - float((self.G[:na, -1] + self.ridge.b[:na]) @ self._alone[0])
 
 
 class Lineariser:
@@ -127,7 +149,7 @@ class Lineariser:
 
     def place(self, at: Linearised, eta: FloatArray) -> Place:
         """Return where a window was linearised, constants at eta (c,)."""
-        sd = np.sqrt(np.diag(at.eliminated[3]))
+        sd = np.sqrt(np.diag(at.given[1]))
         return Place(at.theta, eta, tuning.STAYS * at.unit * _straight(sd))
 
     def eta_tolerance(self) -> FloatArray:
@@ -184,9 +206,9 @@ class Lineariser:
 
     def _both_lower(self, window: Window, known: Knowledge, at: Linearised) -> Knowledge | None:
         """What is known where the cost falls along a step of both; None at rest, or if there is none."""
-        layout, nb = at.regression.layout, at.regression.layout.base
-        step = inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b)
-        if self._length(at, step[layout.psi], np.sqrt(np.diag(at.eliminated[3]))) <= 1.0:
+        layout = at.regression.layout
+        _, step = at.fitted
+        if self._length(at, step[layout.psi], np.sqrt(np.diag(at.given[1]))) <= 1.0:
             return None
         before = self._cost(at, at.regression, given=True) + _improbable(known)
         for share in 0.5 ** np.arange(tuning.HALVINGS):
@@ -271,7 +293,7 @@ class Lineariser:
 
         None where Gauss-Newton does not come to rest there.
         """
-        _, _, alone, _, Z = at.eliminated
+        alone, _, Z = at.given
         theta = shifted(at.theta + at.unit * alone, -at.unit * (Z @ (eta - known.eta)))
         there = replace(known, eta=eta)
         for _ in range(tuning.STEPS):
@@ -279,7 +301,7 @@ class Lineariser:
             columns, unit = self._trial(at, window, there, theta)
             G = at.cells.gram(at.Si, columns.X)
             at = replace(at, theta=theta, unit=unit, regression=columns, G=G)
-            _, _, step, V, _ = at.eliminated
+            step, V, _ = at.given
             if self._length(at, step, np.sqrt(np.diag(V))) <= 1.0:
                 return at
             longest = tuning.LONGEST_STEP
@@ -345,14 +367,12 @@ class Lineariser:
         what would go further is held at the least that it may be.
         """
         at = self._anchored(at, known.theta)
-        _, _, alone, V, Z = at.eliminated
-        sd = np.sqrt(np.diag(V))
+        alone, V, Z = at.given
         if given:
             step = alone - Z @ (known.constants.expected - known.eta)
         else:
-            layout, nb = at.regression.layout, at.regression.layout.base
-            step = (inverse(at.G[:nb, :nb] + at.ridge.R) @ (at.G[:nb, -1] + at.ridge.b))[layout.psi]
-        return step, self._length(at, step, sd)
+            step = at.fitted[1][at.regression.layout.psi]
+        return step, self._length(at, step, np.sqrt(np.diag(V)))
 
     def _length(self, at: Linearised, step: FloatArray, sd: FloatArray) -> float:
         """Length of a step (q,) of sd (q,); of one that would be cut short infinite."""
@@ -449,7 +469,7 @@ class Lineariser:
         window and the point before disagree the window alone is the next point; same: whether they are known
         to agree.
         """
-        _, _, alone, V, Z = self._anchored(at, known.theta).eliminated
+        alone, V, Z = self._anchored(at, known.theta).given
         V = at.repeats * V
         slope = -at.unit[:, None] * Z
         information = inverse(V * np.outer(at.unit, at.unit))

@@ -44,7 +44,7 @@ def _inverse_root(M: FloatArray) -> FloatArray:
         if not failed:
             return np.asarray(dtrtri(factor, lower=1)[0])
     try:
-        return _inverse_of_triangle(np.linalg.cholesky(M))
+        return _inverse_of_triangle(np.asarray(np.linalg.cholesky(M)))
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(M)
         half = vectors.swapaxes(-1, -2) / np.sqrt(np.maximum(values, JITTER))[..., :, None]
@@ -103,10 +103,10 @@ def log_determinant(M: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.slogdet(scaled)[1] - 2 * np.log(d).sum(axis=-1))
 
 
-def quadratic(J: FloatArray, g: FloatArray, tolerance: float = 1e-10) -> float:
-    """Return gᵀ J⁺ g for symmetric J (k, k), directions below `tolerance` of the largest left out."""
+def quadratic(J: FloatArray, g: FloatArray, tolerance: float = 1e-10) -> FloatArray:
+    """Return gᵀ J⁺ g (j,) for symmetric J (j, k, k), directions below `tolerance` of the largest left out."""
     d = scales(J)
-    values, vectors = np.linalg.eigh(J * np.outer(d, d))
-    kept = values > tolerance * max(values[-1], 0.0)
-    along = (vectors.T @ (d * g))[kept]
-    return float(np.sum(along**2 / values[kept])) if kept.any() else 0.0
+    values, vectors = np.linalg.eigh(J * d[:, :, None] * d[:, None, :])
+    kept = values > tolerance * np.maximum(values[:, -1:], 0.0)
+    along = (vectors.swapaxes(1, 2) @ (d * g)[..., None])[..., 0]
+    return np.asarray((along**2 / np.where(kept, values, np.inf)).sum(axis=1))

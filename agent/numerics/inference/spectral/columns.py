@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response, end_states
-from agent.numerics.inference.spectral.sources import Source, end_effect
+from agent.numerics.inference.spectral.sources import Source, end_effects
 from agent.numerics.model.uncertain import CURVED, LAG, Constant, Rig, columns_of, gains_of
 from agent.types import ComplexArray, FloatArray, IntArray
 
@@ -218,7 +218,8 @@ class Regressor:
         if response.is_free:
             X[0] = sums[-1] / np.sqrt(bins.window)
         modelled = self._outputs(X, low)
-        parts = [gamma, self._ends(), self._lost(window), *self._parameters(X, low)]
+        ends = end_effects(response, self._ending, self.output_gain)
+        parts = [gamma, ends, self._lost(window), *self._parameters(X, low)]
         parts.append(self._constants(modelled, X, low))
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
@@ -277,12 +278,6 @@ class Regressor:
         """(len(edges), n) states at the edges when started from zero."""
         at = self.response.at
         return _edge_states(at.A, u @ at.B.T, edges, self.response.power)
-
-    def _ends(self) -> ComplexArray:
-        kept = self.response.bins.kept
-        p = len(self.output_gain)
-        columns = [end_effect(self.response, source, kept, self.output_gain) for source in self._ending]
-        return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)
 
     def _lost(self, window: Window) -> ComplexArray:
         """One column a lost reading: an error of 1 in what was filled in."""

@@ -47,8 +47,12 @@ class Cells:
 
     def gram(self, inverse: ComplexArray, X: ComplexArray) -> FloatArray:
         """Return Re Σ w X* S⁻¹ X (c, c) over the single bins."""
-        weighted = (inverse[: self.kept] @ X) * self.weight[: self.kept, None, None]
-        return real_gram(X, weighted)
+        return self.products(inverse, X, X)
+
+    def products(self, inverse: ComplexArray, left: ComplexArray, right: ComplexArray) -> FloatArray:
+        """Return Re Σ w left* S⁻¹ right (l, r) over the single bins."""
+        weighted = (inverse[: self.kept] @ right) * self.weight[: self.kept, None, None]
+        return real_gram(left, weighted)
 
 
 def real_gram(a: ComplexArray, b: ComplexArray) -> FloatArray:

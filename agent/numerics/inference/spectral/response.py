@@ -115,10 +115,10 @@ class Response:
         found = (self.CR @ change[:, :n, None])[..., 0] + change[:, n:]
         return np.asarray(self._closed(found[..., None], change[:1, :n].real.T)[..., 0])
 
-    def pushed(self, number: int, signal: ComplexArray) -> ComplexArray:
-        """Return the response (kept, p), modulo Γ, to a signal (kept,) at one unknown force."""
-        found = self.H[: self.bins.kept, :, number] * signal[:, None]
-        return np.asarray(self._closed(found[..., None], self.at.E[:, [number]] * signal[0].real)[..., 0])
+    def pushed(self, push: FloatArray, signals: ComplexArray) -> ComplexArray:
+        """Return responses (kept, p, r), modulo Γ, to signals (kept, r) that act as `push` (d, r) says."""
+        found = (self.H[: self.bins.kept] @ push) * signals[:, None]
+        return self._closed(found, self.at.E @ push * signals[0].real)
 
     def _closed(self, columns: ComplexArray, mean: FloatArray) -> ComplexArray:
         """Columns (kept, p, k) that bin 0 of the states' drive, mean (n, k), closes where a mass is free."""

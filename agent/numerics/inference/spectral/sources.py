@@ -87,15 +87,16 @@ def directions(response: Response, sources: tuple[Source, ...], output_gain: Flo
     return out
 
 
-def end_effect(response: Response, source: Source, kept: int, output_gain: FloatArray) -> ComplexArray:
-    """Return τ (kept, p): what a^k shows, by which lasting noise differs from its periodic likeness.
+def end_effects(response: Response, sources: list[Source], output_gain: FloatArray) -> ComplexArray:
+    """Return τ (kept, p, a): what a^k shows, by which lasting noise differs from its periodic likeness.
 
     output_gain (p,): a force is seen through it, a sensor's own noise is not.
     """
-    z, W, a = response.z[:kept], response.bins.window, source.pole
-    decay = (1 - a**W) / (1 - a / z) / np.sqrt(W)
-    if source.kind == "force":
-        return np.asarray(response.pushed(source.number, decay) * output_gain)
-    own = np.zeros((kept, len(output_gain)), dtype=complex)
-    own[:, source.number] = decay
-    return own
+    z, W = response.z[: response.bins.kept], response.bins.window
+    poles = np.array([source.pole for source in sources])
+    decay = (1 - poles**W) / (1 - poles / z[:, None]) / np.sqrt(W)
+    push = np.zeros((response.H.shape[2], len(sources)))
+    own = np.zeros((len(output_gain), len(sources)))
+    for a, source in enumerate(sources):
+        (push if source.kind == "force" else own)[source.number, a] = 1.0
+    return np.asarray(response.pushed(push, decay) * output_gain[:, None] + own * decay[:, None])

@@ -74,7 +74,7 @@ def test_free_mass_window_is_dense_generalised_least_squares(spring: bool, force
     known = replace(known, noise=replace(known.noise, intensity=intensity))
     at = learner.lineariser.point(window_of(y[:, None], u), known, rig.nominal, np.zeros(0, dtype=np.int64))
     step, _ = learner.lineariser._step(at, known, True)
-    _, _, _, spread, _ = at.eliminated
+    _, spread, _ = at.given
     sd = np.sqrt(np.diag(spread))
 
     model, still = sampled(rig, rig.nominal, np.zeros(0)), np.zeros((W, 1))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from agent.numerics.inference.friction import frictions
+from agent.numerics.inference.friction import Friction, frictions
+from agent.numerics.inference.spectral.algebra import inverse
 
 SIZE = 0.7
 
@@ -18,9 +19,16 @@ def gram_of(rng: np.random.Generator, more: np.ndarray | None, size: float) -> t
     return X.T @ X, X
 
 
+def weighed(gram: np.ndarray) -> Friction:
+    V = inverse(gram[:3, :3])
+    cross = gram[[0, 1, 2, 4], 3:4]
+    (found,) = frictions(gram[3:4, 3], cross, V, V @ gram[:3, 4], slice(0, 2), 300.0, 1.0)
+    return found
+
+
 def test_friction_is_the_least_squares_size_of_its_column(rng: np.random.Generator) -> None:
     gram, X = gram_of(rng, None, SIZE)
-    (found,) = frictions(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
+    found = weighed(gram)
     wanted, (with_it,) = np.linalg.lstsq(X[:, :4], X[:, 4], rcond=None)[:2]
     alone, (without,) = np.linalg.lstsq(X[:, :3], X[:, 4], rcond=None)[:2]
     assert found.size == pytest.approx(wanted[3])
@@ -30,7 +38,7 @@ def test_friction_is_the_least_squares_size_of_its_column(rng: np.random.Generat
 
 def test_friction_that_drives_is_none(rng: np.random.Generator) -> None:
     gram, _ = gram_of(rng, None, -SIZE)
-    (found,) = frictions(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
+    found = weighed(gram)
     assert found.evidence == -np.inf
 
 
@@ -40,6 +48,6 @@ def test_friction_column_that_the_model_has_already_is_no_evidence(
 ) -> None:
     for _ in range(20):  # what rounding leaves of it has either sign
         gram, _ = gram_of(rng, more, SIZE)
-        (found,) = frictions(gram, np.zeros((3, 3)), np.zeros(3), slice(0, 2), 300.0, 1.0)
+        found = weighed(gram)
         assert found.evidence == -np.inf
         assert found.size == 0

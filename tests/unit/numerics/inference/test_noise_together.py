@@ -50,7 +50,7 @@ def test_noise_of_a_colour_is_dense_least_squares_where_the_motion_is_slow(which
     # without a column for the ends estimates are 0.6 to 11 sds apart, and these sds 1 to 15 % too small
     assert apart(at, known, dense)[0] < 2.0
     given = dense.solve(1e12 * np.eye(len(known.eta)), np.zeros(len(known.eta)))[1]
-    ratio = np.sqrt(np.diag(at.eliminated[3]) / np.diag(given)[: len(rig.theta)])
+    ratio = np.sqrt(np.diag(at.given[1]) / np.diag(given)[: len(rig.theta)])
     assert np.abs(ratio - 1).max() < 0.07
 
 

@@ -18,7 +18,7 @@ from agent.numerics.inference.spectral.columns import Layout, Regression, Regres
 from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of
 from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.response import Response
-from agent.numerics.inference.spectral.sources import Source, directions
+from agent.numerics.inference.spectral.sources import Source, directions, spectra
 from agent.numerics.inference.tuning import ALL_BINS, MOST_BINS
 from agent.numerics.model.uncertain import Rig, delays_of, sampled, unit_of
 from agent.numerics.preprocessing.rows import rows_with
@@ -162,18 +162,16 @@ class Lineariser:
         delays = delays_of(self.rig, known.eta)
         old = self._response
         if old is None or old.bins.kept != kept or not old.at.is_at(theta, log_mass, delays):
-            old = Response(sampled(self.rig, theta, log_mass, delays), bins_of(self.window, kept))
+            is_here = old is not None and old.at.is_at(theta, log_mass, delays)
+            model = old.at if old is not None and is_here else sampled(self.rig, theta, log_mass, delays)
+            old = Response(model, bins_of(self.window, kept))
             self._response, self._cells = old, None
         return old
 
     def _sources_at(self, response: Response, output_gain: FloatArray) -> Cells:
         if self._cells is None or not np.array_equal(self._cells[0], output_gain):
-            spectra = np.array([source.spectrum(response.z) for source in self.sources])
-            spectra = spectra.reshape(len(self.sources), len(response.z))
-            self._cells = (
-                output_gain,
-                Cells(response, directions(response, self.sources, output_gain), spectra),
-            )
+            D = directions(response, self.sources, output_gain)
+            self._cells = output_gain, Cells(response, D, spectra(self.sources, response.z))
         return self._cells[1]
 
     def linearised(
@@ -350,15 +348,10 @@ class Lineariser:
     def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:
         """(kept, n, p) regression of the states that unknown forces drive on the readings: Cov(x, y) S⁻¹."""
         kept = response.bins.kept
-        out = np.zeros((kept, response.at.n, self.p), dtype=complex)
-        RE = response.R @ response.at.E
-        for a, source in enumerate(self.sources):
-            if source.kind == "force":
-                power = noise.intensity[a] ** 2 * cells.spectra[a, :kept]
-                out += (power[:, None] * RE[:, :, source.number])[:, :, None] * cells.D[:kept, :, a].conj()[
-                    :, None, :
-                ]
-        return out @ Si[:kept]
+        forces = [a for a, source in enumerate(self.sources) if source.kind == "force"]
+        power = noise.intensity[forces, None] ** 2 * cells.spectra[forces, :kept]
+        RE = response.R @ response.at.E[:, [self.sources[a].number for a in forces]]
+        return (RE * power.T[:, None]) @ cells.D[:kept][:, :, forces].conj().transpose(0, 2, 1) @ Si[:kept]
 
     def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, float]:
         """The step (q,), constants estimated beside it or given, and its length; of one cut short infinite.
@@ -549,8 +542,11 @@ def _sd_of(layout: Layout, gram: FloatArray, priors: FloatArray) -> FloatArray:
     """Sds (r, q) of the parameters under each prior precision (r, base, base) of the base columns."""
     M = gram + priors
     d = scales(M)
-    V = np.linalg.pinv(M * d[:, :, None] * d[:, None, :], rcond=1e-14, hermitian=True)
-    return np.asarray(np.sqrt(np.abs(V.diagonal(axis1=1, axis2=2))[:, layout.psi]) * d[:, layout.psi])
+    values, vectors = np.linalg.eigh(M * d[:, :, None] * d[:, None, :])
+    size = np.abs(values)
+    values = np.where(size > 1e-14 * size.max(axis=1, keepdims=True), values, np.inf)
+    variance = (vectors[:, layout.psi] ** 2 / values[:, None]).sum(axis=2)
+    return np.asarray(np.sqrt(np.abs(variance)) * d[:, layout.psi])
 
 
 def _rounded(at: Linearised, window: Window, rounding: Rounding, cuts: IntArray) -> Linearised:

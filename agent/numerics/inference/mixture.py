@@ -25,7 +25,7 @@ def interval95(weight: FloatArray, mean: FloatArray, sd: FloatArray) -> tuple[Fl
     high = ends.max(axis=0)
     for _ in range(0 if len(weight) == 1 else 24):
         middle = 0.5 * (low + high)
-        above = np.einsum("h,hqi->qi", weight, ndtr((middle - mean[:, None]) / sd[:, None])) > level
+        above = weight @ ndtr((middle[:, None] - mean) / sd) > level
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     found = 0.5 * (low + high)
     standing = ends[weight >= STANDING_WEIGHT]

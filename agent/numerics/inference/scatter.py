@@ -161,12 +161,11 @@ def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) ->
     fit = V @ (whole[:k, k] + b)
     rest = whole - blocks
     Vj = inverse(rest[:, :k, :k] + R)
-    moved = (Vj @ (rest[:, :k, k] + b)[..., None])[..., 0] - fit
+    V, Vj = V[psi], Vj[:, psi]
+    moved = (Vj @ (rest[:, :k, k] + b)[..., None])[..., 0] - fit[psi]
     apart = Vj - V
-    expected = apart @ rest[:, :k, :k] @ apart.transpose(0, 2, 1) + V @ blocks[:, :k, :k] @ V
-    seen = (moved[:, psi] ** 2).sum(axis=0)
-    usual = np.einsum("jii->ji", expected)[:, psi].sum(axis=0)
-    return np.asarray(seen / np.maximum(usual, 1e-300))
+    expected = (apart @ rest[:, :k, :k]) * apart + (V @ blocks[:, :k, :k]) * V
+    return np.asarray((moved**2).sum(axis=0) / np.maximum(expected.sum(axis=(0, 2)), 1e-300))
 
 
 def block_grams(whitened: ComplexArray, window: int, power_above: float) -> FloatArray:

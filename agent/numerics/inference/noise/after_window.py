@@ -94,7 +94,7 @@ def _order(noise: Noise) -> IntArray:
     active = np.flatnonzero(share > tuning.ACTIVE_NODES)
     active = active[np.argsort(-share[active])]
     many = 2 * tuning.ROTATION
-    rest = np.concatenate([active[many:], np.setdiff1d(np.arange(len(share)), active)]).astype(np.int64)
+    rest = np.concatenate([active[many:], np.flatnonzero(~(share > tuning.ACTIVE_NODES))]).astype(np.int64)
     turn = (noise.turn + np.arange(min(tuning.ROTATION, len(rest)))) % max(len(rest), 1)
     return np.sort(np.concatenate([active[:many], rest[turn]])).astype(np.int64)
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
-from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.algebra import inverse_root
 from agent.numerics.inference.spectral.covariance import Cells
 from agent.numerics.inference.tuning import DROWNED, FAR_GROWTH, FREE_BINS
 from agent.types import FloatArray, IntArray
@@ -134,11 +134,8 @@ class Scan:
         intensity[:] = fit.intensity
         intensity[:, a] = v
         ends = fit.ends.precision(intensity)
-        M = grams.copy()
-        M[:, :nb, :nb] += fit.R0
+        M = grams + fit.prior
         M[:, self.ends, self.ends] += ends
-        M[:, nb, :nb] += fit.b
-        M[:, :nb, nb] += fit.b
         # where the source would drown everything the rank-one change has no digits left
         drowned = bare | (grams[:, -1, -1] < DROWNED * fit.G[-1, -1])
         M[drowned] = self.one
@@ -183,9 +180,10 @@ class Scan:
         # put, not added and taken away: before the first window the precision is 1e300 and would leave no
         # digit
         M[:, at, at] = grams[:, at, at] + ends[used]
-        V = inverse(M)
-        delta = (V[:, psi] @ (grams[:, :nb, nb] + pred.b)[..., None])[..., 0]
-        variance = V.diagonal(axis1=1, axis2=2)[:, psi]
+        H = inverse_root(M)
+        own = H[:, :, psi]
+        delta = ((H @ (grams[:, :nb, nb] + pred.b)[..., None]) * own).sum(axis=1)
+        variance = (own**2).sum(axis=1)
         w = weight / weight.sum()
         mean = w @ delta
         total = w @ (variance + (delta - mean) ** 2)

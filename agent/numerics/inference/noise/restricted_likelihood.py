@@ -45,6 +45,8 @@ class NoiseFit:
         self.cells, self.sources, self.layout = cells, sources, regression.layout
         self.X, self._high = regression.without_jumps, regression.high
         self.R0, self.b = ridge.R, ridge.b
+        # that of the columns and the residual
+        self.prior = np.block([[ridge.R, ridge.b[:, None]], [ridge.b, np.zeros(1)]])
         self.log_sigma, self.log_sigma_var = noise.log_sigma.copy(), noise.log_sigma_var.copy()
         self.intensity = noise.intensity.copy()
         self._rounding = noise.white - np.exp(2 * noise.log_sigma)

@@ -67,14 +67,12 @@ def _inverse_of_triangle(L: FloatArray) -> FloatArray:
 
 def root(P: FloatArray) -> FloatArray:
     """Return F (..., k, k) with F Fᵀ = P of symmetric P (..., k, k); eigenvalues rounded below 0 become 0."""
-    d = 1.0 / scales(P)
-    scaled = P / (d[..., :, None] * d[..., None, :])
     try:
-        half = np.linalg.cholesky(scaled)
+        return np.asarray(np.linalg.cholesky(P))
     except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(scaled)
-        half = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
-    return np.asarray(half * d[..., :, None])
+        d = scales(P)
+        values, vectors = np.linalg.eigh(P * d[..., :, None] * d[..., None, :])
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :] / d[..., :, None])
 
 
 def shown(S: FloatArray, g: FloatArray, whole: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,15 +18,11 @@ class Ends:
 
     def __init__(self, response: Response, sources: tuple[Source, ...], lasting: tuple[int, ...]) -> None:
         self.lasting = np.array(lasting, dtype=np.int64)
-        at_rest = np.ones(1, dtype=complex)
+        power = np.zeros((len(sources), response.H.shape[2]))
+        for a, source in enumerate(sources):
+            if source.kind == "force":
+                power[a, source.number] = (1 + source.pole) / (1 - source.pole)  # |P(1)|²
         # (a, f) variance of a free mass's column by intensity²
-        forces = response.H.shape[2]
-        power = np.array([
-            source.spectrum(at_rest)[0] * np.eye(forces)[source.number]
-            if source.kind == "force"
-            else np.zeros(forces)
-            for source in sources
-        ]).reshape(len(sources), forces)  # fmt: skip
         self.gain = response.drift_variance(power)
 
     def precision(self, intensity: FloatArray) -> FloatArray:

@@ -46,10 +46,11 @@ class Source:
         """Whether it is a sensor's noise that remembers itself."""
         return self.kind == "sensor" and self.pole > 0
 
-    def spectrum(self, z: ComplexArray) -> FloatArray:
-        """Return |P(z)|², of mean 1 over all frequencies."""
-        a = self.pole
-        return np.asarray((1 - a * a) / np.abs(1 - a / z) ** 2)
+
+def spectra(sources: tuple[Source, ...], z: ComplexArray) -> FloatArray:
+    """Return |P(z)|² (a, cells), each of mean 1 over all frequencies."""
+    a = np.array([source.pole for source in sources])[:, None]
+    return np.asarray((1 - a * a) / np.abs(1 - a / z) ** 2)
 
 
 def sources_of(rig: Rig, window: int, outputs: int) -> tuple[Source, ...]:

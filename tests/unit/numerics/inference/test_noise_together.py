@@ -12,6 +12,7 @@ from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, bounded
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.columns import Window, window_of
+from agent.numerics.inference.spectral.sources import spectra
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import knowledge, learner_of, linearised
 from tests.unit.numerics.inference.test_window_dense import SIGMA, apart, both
@@ -136,7 +137,7 @@ def test_noise_between_two_corners_is_learnt_as_it_is() -> None:
         spectrum = np.exp(2 * noise.log_sigma[output]) * np.ones(len(z))
         for a, source in enumerate(learner.sources):
             if source.is_colour and source.number == output:
-                spectrum += noise.intensity[a] ** 2 * source.spectrum(z)
+                spectrum += noise.intensity[a] ** 2 * spectra((source,), z)[0]
         true = COLOUR**2 * (1 - 0.95**2) / np.abs(1 - 0.95 / z) ** 2
         # one intensity after the other 0.12 to 0.16
         assert np.sqrt(np.mean(np.log(spectrum / true) ** 2)) < 0.1

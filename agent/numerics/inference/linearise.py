@@ -15,7 +15,7 @@ from agent.numerics.inference.scatter import by_repeats
 from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
 from agent.numerics.inference.spectral.bins import bins_of
 from agent.numerics.inference.spectral.columns import Layout, Regression, Regressor, Window
-from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of
+from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of, real_gram
 from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source, directions, spectra
@@ -319,16 +319,8 @@ class Lineariser:
 
     def point(self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray) -> Linearised:
         """Return the window at theta (q,), with columns of jumps at `cuts`."""
-        self.evaluations += 1
-        response = self._at(theta, known, known.kept)
-        lasting = known.noise.lasting(self.sources)
-        regressor = Regressor(self.rig, response, self.sources, known.eta, lasting)
-        cells = self._sources_at(response, regressor.output_gain)
-        noise = known.noise
-        S = cells.covariance(noise.white, noise.levels, noise.intensity)
-        Si = inverse_of(S)
-        driven = self._driven(response, cells, noise, Si)
-        regression = regressor.build(window, lambda X: cells.gram(Si, X), cuts, driven)
+        regressor, regression, cells, Si = self._regressed(window, known, theta, cuts)
+        response, noise = regressor.response, known.noise
         G = cells.gram(Si, regression.X)
         G[-1, -1] += HighPower(response, regression.high, noise.levels).quadratic(Si)
         constants = known.constants
@@ -344,6 +336,20 @@ class Lineariser:
         if size > 0:
             at = replace(at, slide=size * regressor.slide(window, self.rig.constants[number]))
         return at if noise.rounding is None else _rounded(at, window, noise.rounding, cuts)
+
+    def _regressed(
+        self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray
+    ) -> tuple[Regressor, Regression, Cells, ComplexArray]:
+        """The columns of a window at theta (q,), by what made them, with S⁻¹ on its cells."""
+        self.evaluations += 1
+        response = self._at(theta, known, known.kept)
+        lasting = known.noise.lasting(self.sources)
+        regressor = Regressor(self.rig, response, self.sources, known.eta, lasting)
+        cells = self._sources_at(response, regressor.output_gain)
+        noise = known.noise
+        Si = inverse_of(cells.covariance(noise.white, noise.levels, noise.intensity))
+        driven = self._driven(response, cells, noise, Si)
+        return regressor, regressor.build(window, lambda X: cells.gram(Si, X), cuts, driven), cells, Si
 
     def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:
         """(kept, n, p) regression of the states that unknown forces drive on the readings: Cov(x, y) S⁻¹."""
@@ -488,12 +494,13 @@ class Lineariser:
         top = min(total, MOST_BINS)
         if total < ALL_BINS:
             return total
-        at = self.point(window, replace(known, kept=top), known.theta, np.zeros(0, dtype=np.int64))
+        no_cuts = np.zeros(0, dtype=np.int64)
+        _, regression, cells, Si = self._regressed(window, replace(known, kept=top), known.theta, no_cuts)
         ladder = np.unique(np.round(np.geomspace(10, top, 24)).astype(np.int64))
-        layout = at.regression.layout
+        layout = regression.layout
         least = 2 * layout.n + 4
-        priors = self._priors(at, window)
-        grams = self._running(at, ladder)
+        priors = self._priors(layout, window)
+        grams = _running(regression.X[..., :-1], cells, Si, ladder)
         most = (1 + tuning.INFORMATION_LOSS) * _sd_of(layout, grams[-1], priors)
 
         def is_enough(rung: int) -> bool:
@@ -504,27 +511,26 @@ class Lineariser:
         best = int(ladder[min(rung, len(ladder) - 1)])
         return total if best > 0.8 * total else best
 
-    def _running(self, at: Linearised, ladder: IntArray) -> list[FloatArray]:
-        """Grams of the base columns up to each rung, every bin summed once."""
-        X = at.regression.without_jumps[..., :-1]
-        weighted = (at.Si[: at.cells.kept] @ X) * at.cells.weight[: at.cells.kept, None, None]
-        out = []
-        total = np.zeros((X.shape[-1],) * 2)
-        start = 0
-        for stop in ladder:
-            a, b = X[start:stop].reshape(-1, X.shape[-1]), weighted[start:stop].reshape(-1, X.shape[-1])
-            total = total + a.real.T @ b.real + a.imag.T @ b.imag
-            out.append(total)
-            start = int(stop)
-        return out
-
-    def _priors(self, at: Linearised, window: Window) -> FloatArray:
+    def _priors(self, layout: Layout, window: Window) -> FloatArray:
         """Prior precisions of the base columns with constants as good as given, then at their data sheet."""
         sheet = np.array([max(c.sheet, 1e-6) for c in self.rig.constants])
         none = np.full(len(self.sources), 1e-150)
         spreads = [np.diag((share * sheet) ** 2) for share in (0.1 * tuning.AS_CONFIGURED, 1.0)]
-        ridges = [self.ridge(at.regression.layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
+        ridges = [self.ridge(layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
         return np.array(ridges)
+
+
+def _running(X: ComplexArray, cells: Cells, Si: ComplexArray, ladder: IntArray) -> list[FloatArray]:
+    """Return Grams of columns (kept, p, c) up to each rung, every bin summed once."""
+    weighted = (Si[: cells.kept] @ X) * cells.weight[: cells.kept, None, None]
+    out = []
+    total = np.zeros((X.shape[-1],) * 2)
+    start = 0
+    for stop in ladder.tolist():
+        total = total + real_gram(X[start:stop], weighted[start:stop])
+        out.append(total)
+        start = stop
+    return out
 
 
 def _improbable(known: Knowledge) -> float:

@@ -140,8 +140,10 @@ class Scan:
         drowned = bare | (grams[:, -1, -1] < DROWNED * fit.G[-1, -1])
         M[drowned] = self.one
         d = 1.0 / np.sqrt(np.maximum(M.diagonal(axis1=1, axis2=2), 1e-300))
-        scaled = M * d[:, :, None] * d[:, None, :] + 1e-12 * self.one
-        pivot = _log_pivots(scaled) - np.log(d)
+        M *= d[:, :, None]
+        M *= d[:, None, :]
+        M.reshape(len(M), -1)[:, :: nb + 2] += 1e-12
+        pivot = _log_pivots(M) - np.log(d)
         drowned |= ~np.isfinite(pivot).all(axis=1)
         pivot[drowned] = 0.0
         rss = np.exp(2 * pivot[:, nb])

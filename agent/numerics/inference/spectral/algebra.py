@@ -1,7 +1,5 @@
 """Small dense algebra with columns of very different size: everything is scaled to unit diagonals first."""
 
-from functools import lru_cache
-
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtri
 
@@ -9,16 +7,19 @@ from agent.numerics.inference.tuning import JITTER
 from agent.types import FloatArray
 
 
-@lru_cache
-def _jitter(size: int) -> FloatArray:
-    return JITTER * np.eye(size)
-
-
 def scales(M: FloatArray) -> FloatArray:
     """Return 1/√diag(M) (..., k), 1 where the diagonal is not positive."""
     diagonal = M.diagonal(axis1=-2, axis2=-1)
     positive = diagonal > 0
     return np.where(positive, 1.0 / np.sqrt(np.where(positive, diagonal, 1.0)), 1.0)
+
+
+def _raised(M: FloatArray, d: FloatArray) -> FloatArray:
+    """Return M (..., k, k) in units 1/d (..., k), its diagonal raised by the jitter."""
+    scaled = M * d[..., :, None]
+    scaled *= d[..., None, :]
+    np.einsum("...ii->...i", scaled)[...] += JITTER
+    return scaled
 
 
 def inverse(M: FloatArray) -> FloatArray:
@@ -33,8 +34,7 @@ def inverse_root(M: FloatArray) -> FloatArray:
     Where rounding left M indefinite, eigenvalues below the jitter are raised to it.
     """
     d = scales(M)
-    scaled = M * d[..., :, None] * d[..., None, :] + _jitter(M.shape[-1])
-    return np.asarray(_inverse_root(scaled) * d[..., None, :])
+    return np.asarray(_inverse_root(_raised(M, d)) * d[..., None, :])
 
 
 def _inverse_root(M: FloatArray) -> FloatArray:
@@ -97,8 +97,7 @@ def refined(M: FloatArray, V: FloatArray, rest: FloatArray) -> FloatArray:
 def log_determinant(M: FloatArray) -> FloatArray:
     """Return log det of symmetric positive M (..., k, k)."""
     d = scales(M)
-    scaled = M * d[..., :, None] * d[..., None, :] + _jitter(M.shape[-1])
-    return np.asarray(np.linalg.slogdet(scaled)[1] - 2 * np.log(d).sum(axis=-1))
+    return np.asarray(np.linalg.slogdet(_raised(M, d))[1] - 2 * np.log(d).sum(axis=-1))
 
 
 def quadratic(J: FloatArray, g: FloatArray, tolerance: float = 1e-10) -> FloatArray:

@@ -148,7 +148,7 @@ def _update_about(mean: FloatArray, covariance: FloatArray, said: Information) -
     score = vectors[:, kept].T @ (d * g)
     asked = score / values[kept]
     left = asked - (mean - said.at) @ along.T
-    across = covariance @ along.T
+    across = np.tensordot(covariance, along.T, axes=1)
     half = inverse_root(along @ across + np.diag(1.0 / values[kept]))
     whitened = (half @ left[..., None])[..., 0]
     least = said.cost - score @ asked + np.log(values[kept]).sum()

@@ -145,16 +145,17 @@ class Learner:
         scatter = known.scatter.after(self._ratio(settled) / settled.inflation, here)
         rounding = self.lineariser.rounding_after(settled, noise, before)
         at_window = replace(predicted, noise=replace(noise, rounding=rounding), scatter=scatter)
+        posterior = self._posterior(settled, at_window, constants)
         posterior = replace(
-            self._posterior(settled, at_window, constants),
-            jump=tests.jump, jump_raw=tests.raw, excess=tests.excess, beyond_jump=tests.beyond,
-            slide=tests.slide, slid=tests.slid,
+            posterior, jump=tests.jump, jump_raw=tests.raw, excess=tests.excess, beyond_jump=tests.beyond,
+            slide=tests.slide, slid=tests.slid, rubs=self._rubs(settled, at_window, posterior),
         )  # fmt: skip
-        posterior = replace(posterior, rubs=self._rubs(settled, at_window, posterior))
         theta, footing = self.lineariser.nearer(settled, known, predicted.eta, here.eta)
         place = self.lineariser.place(settled, predicted.eta)
-        learnt = replace(at_window, theta=theta, footing=footing, eta=here.eta, place=place)
-        return posterior, replace(learnt, constants=constants, unexplained=posterior.mismatch)
+        return posterior, replace(
+            at_window, theta=theta, footing=footing, eta=here.eta, place=place, constants=constants,
+            unexplained=posterior.mismatch,
+        )  # fmt: skip
 
     def _begun(self, window: Window, known: Knowledge, at: Linearised) -> tuple[Linearised, Knowledge, Noise]:
         """Return a first window from elsewhere, or under other noise: what is known there, and that noise."""
@@ -491,7 +492,7 @@ def _met(window: Window, known: Knowledge) -> Knowledge:
     """Return the same with the rounding that a window shows."""
     there = np.ones(window.length, dtype=bool)
     there[window.lost[:, 0]] = False
-    return _of(window, replace(known, noise=known.noise.met(window.y[there])))
+    return replace(known, noise=known.noise.met(window.y[there]).of(window.y))
 
 
 def _estimate(at: Linearised, eta: FloatArray) -> Estimate:

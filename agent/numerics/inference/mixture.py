@@ -23,7 +23,7 @@ def interval95(weight: FloatArray, mean: FloatArray, sd: FloatArray) -> tuple[Fl
     ends = mean[:, None] + np.array([-NORMAL_975, NORMAL_975])[:, None] * sd[:, None]
     low = ends.min(axis=0)
     high = ends.max(axis=0)
-    for _ in range(0 if len(weight) == 1 else 24):
+    for _ in range(24 if (low < high).any() else 0):
         middle = 0.5 * (low + high)
         above = weight @ ndtr((middle[:, None] - mean) / sd) > level
         low, high = np.where(above, low, middle), np.where(above, middle, high)

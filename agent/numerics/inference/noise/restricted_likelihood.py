@@ -51,6 +51,7 @@ class NoiseFit:
         self.intensity = noise.intensity.copy()
         self._rounding = noise.white - np.exp(2 * noise.log_sigma)
         self.levels = noise.levels
+        self.high = HighPower(cells.response, regression.high, noise.levels)
         self.seen_power = np.zeros_like(noise.power)
         self.seen_dof = np.zeros_like(noise.dof)
         self.ends = Ends(cells.response, sources, self.layout.lasting)
@@ -63,8 +64,7 @@ class NoiseFit:
 
     # ------------------------------------------------------------------ S, S⁻¹ and the Gram at today's values
     def refresh(self) -> None:
-        """Make S⁻¹, the high power and the Gram anew from today's values."""
-        self.high = HighPower(self.cells.response, self._high, self.levels)
+        """Make S⁻¹ and the Gram anew from today's values."""
         self.S = self.cells.covariance(self._white(), self.levels, self.intensity)
         self.Si = inverse_of(self.S)
         self.G = self.cells.gram(self.Si, self.X)
@@ -221,6 +221,7 @@ class NoiseFit:
             self.seen_power[bins.high] = many * self.levels[bins.high] * excess
             self.seen_dof[bins.high] = many
         self.levels = (carried.power + self.seen_power) / (carried.dof + self.seen_dof)
+        self.high = HighPower(self.cells.response, self._high, self.levels)
 
     # ------------------------------------------------------------------ all variances at once
     def joint(

@@ -69,13 +69,18 @@ def significant_digits(y: FloatArray) -> tuple[IntArray, BoolArray]:
     0 where they need more than any table that is rounded so.
     """
     digits = np.zeros(y.shape[1], dtype=np.int64)
-    for count in range(MOST_DIGITS, 0, -1):  # most readings have all digits of a double: one look is enough
-        fits = _whole(y, _steps(y, np.full(y.shape[1], count)))
-        if not fits.any():
+    for count in range(MOST_DIGITS, 0, -1):
+        # most readings have all digits of a double: a look at one is enough
+        if not (_fits(y[:1], count).any() and (fits := _fits(y, count)).any()):
             break
         digits[fits] = count
     coarsest = _steps(np.abs(y).max(axis=0, keepdims=True), np.maximum(digits, 1))
     return digits, (digits > 0) & ~_whole(y, coarsest)
+
+
+def _fits(y: FloatArray, digits: int) -> BoolArray:
+    """(p,) whether all readings y (N, p) do with so many digits."""
+    return _whole(y, _steps(y, np.full(y.shape[1], digits)))
 
 
 def _steps(y: FloatArray, digits: IntArray) -> FloatArray:

@@ -10,8 +10,7 @@ from agent.types import FloatArray
 def scales(M: FloatArray) -> FloatArray:
     """Return 1/√diag(M) (..., k), 1 where the diagonal is not positive."""
     diagonal = M.diagonal(axis1=-2, axis2=-1)
-    positive = diagonal > 0
-    return np.where(positive, 1.0 / np.sqrt(np.where(positive, diagonal, 1.0)), 1.0)
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
 
 
 def _raised(M: FloatArray, d: FloatArray) -> FloatArray:

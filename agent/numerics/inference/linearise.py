@@ -20,7 +20,7 @@ from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source, directions, spectra
 from agent.numerics.inference.tuning import ALL_BINS, MOST_BINS
-from agent.numerics.model.uncertain import Rig, delays_of, sampled, unit_of
+from agent.numerics.model.uncertain import Rig, Sampled, delays_of, sampled, unit_of
 from agent.numerics.preprocessing.rows import rows_with
 from agent.types import ComplexArray, FloatArray, IntArray
 
@@ -158,15 +158,21 @@ class Lineariser:
 
     def _at(self, theta: FloatArray, known: Knowledge, kept: int) -> Response:
         """The response at a point; the last one is kept."""
-        log_mass = known.eta[: self.rig.masses]
-        delays = delays_of(self.rig, known.eta)
         old = self._response
-        if old is None or old.bins.kept != kept or not old.at.is_at(theta, log_mass, delays):
-            is_here = old is not None and old.at.is_at(theta, log_mass, delays)
-            model = old.at if old is not None and is_here else sampled(self.rig, theta, log_mass, delays)
+        model = self._model(theta, known)
+        if old is None or old.at is not model or old.bins.kept != kept:
             old = Response(model, bins_of(self.window, kept))
             self._response, self._cells = old, None
         return old
+
+    def _model(self, theta: FloatArray, known: Knowledge) -> Sampled:
+        """The sampled model at a point, which may be at hand for other bins."""
+        log_mass = known.eta[: self.rig.masses]
+        delays = delays_of(self.rig, known.eta)
+        old = self._response
+        if old is not None and old.at.is_at(theta, log_mass, delays):
+            return old.at
+        return sampled(self.rig, theta, log_mass, delays)
 
     def _sources_at(self, response: Response, output_gain: FloatArray) -> Cells:
         if self._cells is None or not np.array_equal(self._cells[0], output_gain):

@@ -354,16 +354,20 @@ class Lineariser:
         cells = self._sources_at(response, regressor.output_gain)
         noise = known.noise
         Si = inverse_of(cells.covariance(noise.white, noise.levels, noise.intensity))
-        driven = self._driven(response, cells, noise, Si)
-        return regressor, regressor.build(window, lambda X: cells.gram(Si, X), cuts, driven), cells, Si
+        regression = regressor.build(
+            window, lambda X: cells.gram(Si, X), cuts,
+            lambda left: self._driven(cells, noise, (Si[: cells.kept] @ left[..., None])[..., 0]),
+        )  # fmt: skip
+        return regressor, regression, cells, Si
 
-    def _driven(self, response: Response, cells: Cells, noise: Noise, Si: ComplexArray) -> ComplexArray:
-        """(kept, n, p) regression of the states that unknown forces drive on the readings: Cov(x, y) S⁻¹."""
-        kept = response.bins.kept
+    def _driven(self, cells: Cells, noise: Noise, weighted: ComplexArray) -> ComplexArray:
+        """(kept, n) the states that unknown forces drive, by S⁻¹ of readings (kept, p): Cov(x, y) S⁻¹ y."""
+        kept, response = cells.kept, cells.response
         forces = [a for a, source in enumerate(self.sources) if source.kind == "force"]
+        E = response.at.E[:, [self.sources[a].number for a in forces]]
         power = noise.intensity[forces, None] ** 2 * cells.spectra[forces, :kept]
-        RE = response.R @ response.at.E[:, [self.sources[a].number for a in forces]]
-        return (RE * power.T[:, None]) @ cells.D[:kept][:, :, forces].conj().transpose(0, 2, 1) @ Si[:kept]
+        told = (cells.D[:kept][:, :, forces].conj() * weighted[..., None]).sum(axis=1)
+        return np.asarray((response.R @ (power.T * told @ E.T)[..., None])[..., 0])
 
     def _step(self, at: Linearised, known: Knowledge, given: bool) -> tuple[FloatArray, float]:
         """The step (q,), constants estimated beside it or given, and its length; of one cut short infinite.

@@ -74,6 +74,8 @@ def significant_digits(y: FloatArray) -> tuple[IntArray, BoolArray]:
         if not (_fits(y[:1], count).any() and (fits := _fits(y, count)).any()):
             break
         digits[fits] = count
+    if not digits.any():
+        return digits, digits > 0
     coarsest = _steps(np.abs(y).max(axis=0, keepdims=True), np.maximum(digits, 1))
     return digits, (digits > 0) & ~_whole(y, coarsest)
 

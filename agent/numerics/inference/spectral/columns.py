@@ -185,14 +185,14 @@ class Regressor:
         window: Window,
         weigh: Weigh,
         cuts: IntArray,
-        driven: ComplexArray | None = None,
+        driven: Callable[[ComplexArray], ComplexArray] | None = None,
         whole: bool = True,
     ) -> Regression:
         """Return the regression; `weigh` gives the columns' Gram under today's noise, for the initial state.
 
-        driven (kept, n, p): S⁻¹ of readings to the states that unknown forces drive. The initial state of the
-        periodic response is e0; the state that the window began with is e0 and what those forces had driven
-        by then. whole: with the high bins; a trial of a step asks for none of them.
+        driven: takes readings (kept, p) to the states (kept, n) that unknown forces drive. The initial state
+        of the periodic response is e0; the state that the window began with is e0 and what those forces had
+        driven by then. whole: with the high bins; a trial of a step asks for none of them.
         """
         response, at, bins = self.response, self.response.at, self.response.bins
         u = self.inputs(window)
@@ -210,7 +210,7 @@ class Regressor:
             x0, sums = self._placed(x0, u, fy[0].real, fu[0].real, edges)
         elif driven is not None:
             left = residual - ((response.free @ x0) @ at.C.T) * self.output_gain
-            states = (driven @ left[..., None])[..., 0]
+            states = driven(left)
             x0 = x0 + (states.real * response.bins.multiplicity[: bins.kept, None]).sum(axis=0) / np.sqrt(
                 bins.window
             )

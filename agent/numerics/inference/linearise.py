@@ -130,8 +130,7 @@ class Lineariser:
         """Return what is known with the bins to keep chosen, to be linearised where the constants are now."""
         mean = known.constants.expected
         far = np.abs(mean - known.eta) > self.eta_tolerance()
-        eta = np.where(far.any(), mean, known.eta)
-        known = replace(known, eta=eta)
+        known = replace(known, eta=mean) if far.any() else known
         before = known.kept_for
         due = known.noise.windows in (0, 1, 3, 9, 27) or before is None or known.noise.is_other_than(before)
         return replace(known, kept=self._kept(window, known), kept_for=known.noise) if due else known

@@ -46,7 +46,9 @@ class NoiseFit:
         self.X, self._high = regression.without_jumps, regression.high
         self.R0, self.b = ridge.R, ridge.b
         # that of the columns and the residual
-        self.prior = np.block([[ridge.R, ridge.b[:, None]], [ridge.b, np.zeros(1)]])
+        self.prior = np.zeros((len(ridge.b) + 1,) * 2)
+        self.prior[:-1, :-1] = ridge.R
+        self.prior[-1, :-1] = self.prior[:-1, -1] = ridge.b
         self.log_sigma, self.log_sigma_var = noise.log_sigma.copy(), noise.log_sigma_var.copy()
         self.intensity = noise.intensity.copy()
         self._rounding = noise.white - np.exp(2 * noise.log_sigma)

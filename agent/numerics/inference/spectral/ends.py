@@ -30,7 +30,3 @@ class Ends:
         squared = intensity**2
         variance = np.concatenate([squared @ self.gain, 2 * squared[..., self.lasting]], axis=-1)
         return np.asarray(1.0 / np.maximum(variance, LEAST_VARIANCE))
-
-    def moves(self, a: int) -> bool:
-        """Whether source a has a column here."""
-        return bool(a in self.lasting or self.gain[a].any())

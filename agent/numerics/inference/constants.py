@@ -289,7 +289,7 @@ class Constants:
     def total(self) -> FloatArray:
         """(c, c) covariance of the mixture."""
         apart = self.mean - self.expected
-        within = np.tensordot(self.weight, self.covariance, axes=1)
+        within = np.einsum("h,hij->ij", self.weight, self.covariance)
         return np.asarray(within + (self.weight[:, None] * apart).T @ apart)
 
     @cached_property
@@ -308,8 +308,9 @@ class Constants:
         weight = self.weight[kept] / self.weight[kept].sum()
         mean = weight @ self.mean[kept]
         apart = self.mean[kept] - mean
-        within = np.tensordot(weight, self.covariance[kept], axes=1)
-        return mean, within + (weight[:, None] * apart).T @ apart
+        return mean, np.einsum("h,hij->ij", weight, self.covariance[kept]) + (
+            weight[:, None] * apart
+        ).T @ apart
 
     def after(self, windows: float) -> "Constants":
         """Return what is known so many windows later where no hypothesis switches."""
@@ -360,7 +361,7 @@ class Constants:
         drifting = (start > 0).astype(float)
         mean, total = self.standing
         share = drifting / np.maximum(drifting.sum(axis=1), 1.0)[:, None]
-        variance = ((share @ total) * share).sum(axis=1)[:, None, None]
+        variance = np.einsum("hi,ij,hj->h", share, total, share)[:, None, None]
         moved = variance * _squares(drifting) - _squares(start)
         return replace(first, mean=(share @ mean)[:, None] * drifting, covariance=first.covariance + moved)
 

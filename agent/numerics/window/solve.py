@@ -133,7 +133,7 @@ class WindowSolver:
         components = row_products(summary.moment, self.directions)  # (N, 1+c, k)
         noisy = self.a > self.n
         if noisy:
-            shift[:, 0] = starts.predicted[:, self.n :] @ self._gamma_f.T
+            shift[:, 0] = row_products(starts.predicted[:, self.n :], self._gamma_f.T)
             shift[:, 1:] = -starts.tangents[:, :, self.n :] @ self._gamma_f.T
         first = components[:, 0] + (row_products(shift[:, 0], self.reach.T) if noisy else 0.0)
         x0 = starts.predicted[:, : self.n] + row_products(first, self._state)

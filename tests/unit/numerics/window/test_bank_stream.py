@@ -14,6 +14,7 @@ FloatArray = NDArray[np.float64]
 RIG = bank_rig()
 SIGMA = np.full(2, 1e-4)
 NOISE = NoiseModel(SIGMA, np.full(2, 0.2), (Coloured("force", 0, 0.95, 0.3),))
+TWO_COLOURS = NoiseModel(SIGMA, np.full(2, 0.2), (*NOISE.coloured, Coloured("sensor", 1, 0.9, 3e-4)))
 PLAN = HopPlan(133, 20)
 
 
@@ -41,13 +42,14 @@ def test_two_pasts_of_the_same_window_give_the_same_estimate(noise: NoiseModel) 
     assert np.max(np.abs(changed) / np.sqrt(np.diag(covariance))) < 1e-9
 
 
+@pytest.mark.parametrize("noise", [NOISE, TWO_COLOURS], ids=["one colour", "two colours"])
 @pytest.mark.parametrize("window", [133, 140, 613, 600])
-def test_rows_are_the_same_to_the_last_bit_however_samples_arrive(window: int) -> None:
+def test_rows_are_the_same_to_the_last_bit_however_samples_arrive(window: int, noise: NoiseModel) -> None:
     y, u = record(1500)
     v = np.hstack([y, u])
-    whole = rows_of(RIG, NOISE, HopPlan(window, 20), (12, 40), (y, u))
+    whole = rows_of(RIG, noise, HopPlan(window, 20), (12, 40), (y, u))
     for size in (13, 137):
-        stream = Stream(RIG.model, RIG.push, NOISE, HopPlan(window, 20), (12, 40), RIG.interest)
+        stream = Stream(RIG.model, RIG.push, noise, HopPlan(window, 20), (12, 40), RIG.interest)
         pieces = []
         for start in range(0, 1500, size):
             stream.append(start, v[start : start + size])

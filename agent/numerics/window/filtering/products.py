@@ -13,18 +13,19 @@ from agent.types import FloatArray
 
 def row_products(left: FloatArray, right: FloatArray) -> FloatArray:
     """Return left (..., k) @ right (k, m) with rows that do not depend on how many there are."""
-    rows = left.reshape(-1, left.shape[-1])
+    rows = left if left.ndim == 2 else left.reshape(-1, left.shape[-1])
     count = len(rows)
     whole = count - count % ROWS
+    products: FloatArray
     if whole == count:
-        products = rows @ right
+        products = rows.dot(right)
     elif not whole:  # as nearly always while an agent runs
-        products = _filled_up(rows) @ right
+        products = _filled_up(rows).dot(right)[:count]
     else:
         products = np.empty((count, right.shape[1]))
         np.matmul(rows[:whole], right, out=products[:whole])
-        products[whole:] = (_filled_up(rows[whole:]) @ right)[: count - whole]
-    return np.asarray(products[:count].reshape(*left.shape[:-1], right.shape[1]))
+        products[whole:] = _filled_up(rows[whole:]).dot(right)[: count - whole]
+    return products if rows is left else products.reshape(*left.shape[:-1], right.shape[1])
 
 
 def _filled_up(rows: FloatArray) -> FloatArray:

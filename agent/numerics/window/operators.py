@@ -62,24 +62,19 @@ class Operators:
         self.every = scanned_rows(plan.fulls)
         self.decays = spectral_radius(model.A) < 1 - STABLE
 
-    def summarise(
-        self, lengths: Sequence[int], v: FloatArray, z: FloatArray, forced: Sequence[FloatArray]
-    ) -> tuple[Summary, FloatArray]:
-        """Return the summaries of N stretches v (N, L, p+m) from states z (N, nz), and the states after."""
+    def summarise(self, lengths: Sequence[int], v: FloatArray, states: Sequence[FloatArray]) -> Summary:
+        """Return the summaries of N stretches v (N, L, p+m) from the states (N, nz) before their cells."""
         step = max(1, CHUNK // (ROWS * self.plan.hop)) * ROWS
         count = len(v)
         width = 1 + self.size.c
         U = self.basis.U[: v.shape[1] * self.size.p]
         gram, moment = np.empty((count, width, width)), np.empty((count, width, U.shape[1]))
-        after = np.empty_like(z)
         for start in range(0, count, step):
             part = slice(start, start + step)
-            columns, after[part] = self.filters.outputs(
-                lengths, v[part], z[part], [one[part] for one in forced]
-            )
+            columns = self.filters.outputs(lengths, v[part], [z[part] for z in states])
             np.matmul(columns, columns.transpose(0, 2, 1), out=gram[part])
             moment[part] = row_products(columns, U)
-        return Summary(gram, moment), after
+        return Summary(gram, moment)
 
     @cached_property
     def powers(self) -> FloatArray:
@@ -105,7 +100,7 @@ class Operators:
         filters = self.filters
         lengths = filters.head if len(hop_samples) == self.plan.head else (*filters.head, *filters.rest)
         v = hop_samples[None]
-        return np.asarray(filters.outputs(lengths, v, start[None], filters.forced(lengths, v))[0][0])
+        return np.asarray(filters.outputs(lengths, v, filters.through(lengths, v, start[None]))[0])
 
     def scan(
         self, solved: Solved, rights: Sequence[Summary], starts: Starts, ats: Sequence[Starts]

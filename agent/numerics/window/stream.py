@@ -127,25 +127,23 @@ class Stream:
         return rows
 
     def _first_head(self) -> tuple[Summary, Summary | None]:
-        start, filters = self._course.start[None], self.operators.filters
+        filters = self.operators.filters
         v = self.samples(self._done, self._done + self.plan.head)[None]
-        heads, ends = self.operators.summarise(filters.head, v, start, filters.forced(filters.head, v))
-        self._states.append(start)
-        self._course = Course.at(ends[0])
+        states = filters.through(filters.head, v, self._course.start[None])
+        self._states.append(states[0])
+        self._course = Course.at(states[-1][0])
         self._done += self.plan.head
-        return heads, None
+        return self.operators.summarise(filters.head, v, states), None
 
     def _units(self, units: int) -> tuple[Summary, Summary | None]:
         """Return the summaries of the next heads, and of the rests before them."""
         plan, filters = self.plan, self.operators.filters
         v = self.samples(self._done, self._done + units * plan.hop).reshape(units, plan.hop, -1)
-        states, forced, self._course = filters.over(v, self._course)
-        rests = None
+        states, self._course = filters.over(v, self._course)
         cells = len(filters.rest)
-        if plan.rest:
-            rests, states = self.operators.summarise(filters.rest, v[:, : plan.rest], states, forced[:cells])
-        heads, _ = self.operators.summarise(filters.head, v[:, plan.rest :], states, forced[cells:])
-        self._states.append(states)
+        rests = self.operators.summarise(filters.rest, v[:, : plan.rest], states) if plan.rest else None
+        heads = self.operators.summarise(filters.head, v[:, plan.rest :], states[cells:])
+        self._states.append(states[cells])
         self._done += units * plan.hop
         return heads, rests
 

@@ -13,6 +13,7 @@ a few matrix products: its outputs from its inputs and first states, and the sta
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -167,39 +168,47 @@ class Filters:
         """Return what they are made of: the rest is a megabyte, in each state of a rig that is remembered."""
         return Filters, self._made_of
 
-    def over(self, v: FloatArray, course: Course) -> tuple[FloatArray, list[FloatArray], Course]:
+    def over(self, v: FloatArray, course: Course) -> tuple[list[FloatArray], Course]:
         """Run over N units of rest and head, v (N, H, p+m).
 
         Returns:
-            states (N, nz) before each unit, what each cell's inputs leave (N, nz), the course after.
+            states (N, nz) before each cell of the units, the course after.
         """
         lengths = (*self.rest, *self.head)
-        forced = self.forced(lengths, v)
+        forced = self._forced(lengths, v)
         gained = forced[0]
         for length, one in zip(lengths[1:], forced[1:], strict=True):
             gained = self._cells[length].carried(gained) + one
         states, course = course.over(self._over_hops, gained)
-        return states, forced, course
+        return self._carried(lengths[:-1], states, forced[:-1]), course
 
-    def forced(self, lengths: Sequence[int], v: FloatArray) -> list[FloatArray]:
+    def through(self, lengths: Sequence[int], v: FloatArray, z: FloatArray) -> list[FloatArray]:
+        """Return states (N, nz) before each cell of stretches v (N, L, p+m) from z on, and after the last."""
+        return self._carried(lengths, z, self._forced(lengths, v))
+
+    def _carried(
+        self, lengths: Sequence[int], z: FloatArray, forced: Sequence[FloatArray]
+    ) -> list[FloatArray]:
+        states = [z]
+        for length, gained in zip(lengths, forced, strict=True):
+            states.append(self._cells[length].carried(states[-1]) + gained)
+        return states
+
+    def _forced(self, lengths: Sequence[int], v: FloatArray) -> list[FloatArray]:
         """Return the states (N, nz) that inputs of each cell of stretches v (N, L, p+m) leave from zero."""
-        starts = np.cumsum([0, *lengths])
+        starts = accumulate(lengths, initial=0)
         return [self._cells[L].forced(v[:, s : s + L]) for L, s in zip(lengths, starts, strict=False)]
 
-    def outputs(
-        self, lengths: Sequence[int], v: FloatArray, z: FloatArray, forced: Sequence[FloatArray]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return e, ψ (N, 1+c, samples p) of N stretches v from states z (N, nz), and the states after."""
+    def outputs(self, lengths: Sequence[int], v: FloatArray, states: Sequence[FloatArray]) -> FloatArray:
+        """Return e, ψ (N, 1+c, samples p) of N stretches v, from the states before each of their cells."""
         p = self.size.p
         out = np.empty((len(v), 1 + self.size.c, v.shape[1] * p))
         start = 0
-        for length, gained in zip(lengths, forced, strict=True):
+        for length, z in zip(lengths, states, strict=False):
             stop = start + length
-            cell = self._cells[length]
-            cell.write(v[:, start:stop], z, out[:, :, start * p : stop * p])
-            z = cell.carried(z) + gained
+            self._cells[length].write(v[:, start:stop], z, out[:, :, start * p : stop * p])
             start = stop
-        return out, z
+        return out
 
 
 def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:

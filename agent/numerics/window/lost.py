@@ -67,8 +67,8 @@ class Impulses:
     """Responses of the whitening filter over a hop: of e, (H, p+m, p), and of its state, (H, p+m, a)."""
 
     def __init__(self, system: System, hop: int, taps: Taps) -> None:
-        a = system.size.a
-        F, N, H = system.step.predictor, system.N[:a], system.H[0, :, :a]
+        own = slice(system.size.n, system.size.n + system.size.a)
+        F, N, H = system.step.predictor, system.N[own], system.H[0, :, own]
         states = [N]
         for _ in range(hop - 1):
             states.append(F @ states[-1])

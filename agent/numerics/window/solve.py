@@ -50,7 +50,7 @@ class Starts:
     def of(cls, z: FloatArray, size: Sizes) -> "Starts":
         """Cut filter states (N, nz) into their parts."""
         a, n = size.a, size.n
-        return cls(z[:, :a], z[:, a : a + n], z[:, a + n :].reshape(len(z), size.c, a))
+        return cls(z[:, n : n + a], z[:, :n], z[:, n + a :].reshape(len(z), size.c, a))
 
     def part(self, which: slice) -> "Starts":
         """Return some of the windows'."""

@@ -234,7 +234,7 @@ class Stream:
         hop = self._states.stop - 1 - self.operators.longest
         size = self.operators.size
         z = np.zeros(size.z)
-        z[: size.n] = z[size.a : size.a + size.n] = self._best
+        z[: size.n] = z[size.n : 2 * size.n] = self._best
         self._begin(hop, z)
 
 

@@ -126,7 +126,7 @@ def _free_responses(
     # what r leaves in t_i is Γ's; a line drives no filter
     from_mean = np.pad(step.from_mean, ((0, 0), (0, n_g - a), (0, 0)))
     sample = Transition(real.A - gain @ real.C, step.mean, from_mean)
-    drift = system.H[1:, :, a : a + n]
+    drift = system.H[1:, :, :n]
     Gamma, D = sample.responses(whitening(predictor) @ real.C, drift, hop)
     return np.concatenate([Gamma, D.reshape(hop, p, -1)], axis=2).reshape(hop * p, -1), sample
 

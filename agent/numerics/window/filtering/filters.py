@@ -39,13 +39,13 @@ class Sizes:
 
     @property
     def z(self) -> int:
-        """States of all filters: x̂, r, t_1 .. t_c."""
+        """States of all filters: r, x̂, t_1 .. t_c."""
         return self.a + self.n + self.c * self.a
 
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """All filters as one system of z = (x̂, r, t_1 .. t_c) and v = (y, u).
+    """All filters as one system of z = (r, x̂, t_1 .. t_c) and v = (y, u).
 
     Attributes:
         step: z -> z after a sample.
@@ -70,16 +70,16 @@ def filter_system(model: StateSpace, real: Realisation, predictor: Predictor) ->
     dims = Sizes(*size)
     from_mean = np.zeros((c, a, n))
     N = np.zeros((dims.z, p + m))
-    N[:a] = np.hstack([K, _padded(model.B, a) - K @ model.D])
-    N[a : a + n, p:] = model.B
+    N[:n, p:] = model.B
+    N[n : n + a] = np.hstack([K, _padded(model.B, a) - K @ model.D])
     H = np.zeros((1 + c, p, dims.z))
     J = np.zeros((1 + c, p, p + m))
-    H[0, :, :a], J[0] = -W @ C, W @ np.hstack([np.eye(p), -model.D])
+    H[0, :, n : n + a], J[0] = -W @ C, W @ np.hstack([np.eye(p), -model.D])
     for i in range(c):
         own = slice(a + n + i * a, a + n + (i + 1) * a)
         from_mean[i] = _padded(model.dA[i], a) - K @ model.dC[i]
         N[own, p:] = _padded(model.dB[i], a) - K @ model.dD[i]
-        H[1 + i, :, own], H[1 + i, :, a : a + n] = W @ C, W @ model.dC[i]
+        H[1 + i, :, own], H[1 + i, :, :n] = W @ C, W @ model.dC[i]
         J[1 + i, :, p:] = W @ model.dD[i]
     return System(Transition(Phi, model.A, from_mean), N, H, J, dims)
 
@@ -98,9 +98,9 @@ class Cell:
         mean: (L m + n, c L p), [u, r] -> ψ.
         tangent: (a, L p), tᵢ -> ψᵢ, the same for all i.
         into_predictor: (L(p+m), a), v -> x̂ after.
-        into_mean: (L m, n + c a), u -> (r, t) after.
+        into_mean: (L m, nz), u -> (r, 0, t) after.
         along: (a, a), x̂ -> x̂ after, and each tᵢ -> itself.
-        from_mean: (n, n + c a), r -> (r, t) after.
+        from_mean: (n, nz), r -> (r, 0, t) after.
         size: dimensions.
     """
 
@@ -116,31 +116,25 @@ class Cell:
 
     def forced(self, v: FloatArray) -> FloatArray:
         """Return the states (N, nz) that inputs v (N, L, p+m) leave when started from zero."""
-        a = self.size.a
+        a, n = self.size.a, self.size.n
         count = len(v)
-        out = np.empty((count, self.size.z))
-        out[:, :a] = row_products(v.reshape(count, -1), self.into_predictor)
-        out[:, a:] = row_products(v[:, :, self.size.p :].reshape(count, -1), self.into_mean)
+        out = row_products(v[:, :, self.size.p :].reshape(count, -1), self.into_mean)
+        out[:, n : n + a] = row_products(v.reshape(count, -1), self.into_predictor)
         return out
 
     def carried(self, z: FloatArray) -> FloatArray:
         """Return the states (N, nz) after cells with no inputs, from states z (N, nz)."""
         a, n = self.size.a, self.size.n
-        out = np.empty_like(z)
-        out[:, a:] = row_products(z[:, a : a + n], self.from_mean)
-        alone = np.concatenate([z[:, :a], z[:, a + n :]], axis=1)  # x̂ and the tangents move alike
-        moved = row_products(alone.reshape(-1, a), self.along).reshape(alone.shape)
-        out[:, :a] = moved[:, :a]
-        out[:, a + n :] += moved[:, a:]
+        out = row_products(z[:, :n], self.from_mean)
+        out[:, n:] += row_products(z[:, n:].reshape(-1, a), self.along).reshape(len(z), -1)
         return out
 
     def write(self, v: FloatArray, z: FloatArray, out: FloatArray) -> None:
         """Write e, ψ of N cells with inputs v (N, L, p+m) from states z (N, nz) into out (N, 1+c, L p)."""
+        a, n = self.size.a, self.size.n
         count = len(v)
-        a = self.size.a
-        n = self.size.n
-        out[:, 0] = row_products(_beside(v, z[:, :a]), self.innovation)
-        driven = row_products(_beside(v[:, :, self.size.p :], z[:, a : a + n]), self.mean)
+        out[:, 0] = row_products(_beside(v, z[:, n : n + a]), self.innovation)
+        driven = row_products(_beside(v[:, :, self.size.p :], z[:, :n]), self.mean)
         free = row_products(z[:, a + n :].reshape(count, -1, a), self.tangent)
         np.add(driven.reshape(free.shape), free, out=out[:, 1:])
 
@@ -216,7 +210,7 @@ def lifted(system: System, lengths: Sequence[int]) -> dict[int, Cell]:
     longest = max(lengths)
     step, size = system.step, system.size
     a, n = size.a, size.n
-    free = step.responses(system.H[1, :, a + n : a + n + a], system.H[1:, :, a : a + n], longest)
+    free = step.responses(system.H[1, :, a + n : a + n + a], system.H[1:, :, :n], longest)
     forced = _forced(step.whole(), system.N, longest)
     later = (system.H.reshape(-1, size.z) @ forced[: longest - 1]).reshape(-1, *system.J.shape)
     markov = np.concatenate([system.J[None], later])
@@ -254,13 +248,15 @@ def _cell(
     innovation = np.vstack([T[0].reshape(rows, -1).T, -tangent])
     from_mean = free[1][:L].transpose(2, 0, 1, 3).reshape(c * rows, n).T
     after = forced[::-1]
+    into_mean = after[:, :, size.p :].transpose(0, 2, 1).reshape(L * size.m, -1).copy()
+    into_mean[:, n : n + a] = 0.0
     return Cell(
         L, innovation, np.vstack([T[1:, ..., size.p :].reshape(c * rows, -1).T, from_mean]),
         np.ascontiguousarray(tangent),
-        np.ascontiguousarray(after[:, :a].transpose(0, 2, 1).reshape(-1, a)),
-        np.ascontiguousarray(after[:, a:, size.p :].transpose(0, 2, 1).reshape(L * size.m, -1)),
+        np.ascontiguousarray(after[:, n : n + a].transpose(0, 2, 1).reshape(-1, a)),
+        into_mean,
         np.ascontiguousarray(over.predictor.T),
-        np.hstack([over.mean.T, over.from_mean.reshape(-1, n).T]), size,
+        np.hstack([over.mean.T, np.zeros((n, a)), over.from_mean.reshape(-1, n).T]), size,
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
     x̂' = Φ x̂,    r' = A r,    tᵢ' = Φ tᵢ + Gᵢ r
 
-so that powers and free responses take products of single blocks. Whole, z = (x̂, r, t_1 .. t_c) has hundreds
+so that powers and free responses take products of single blocks. Whole, z = (r, x̂, t_1 .. t_c) has hundreds
 of entries where sensors have colours of their own.
 """
 
@@ -45,12 +45,12 @@ class Transition:
         return total
 
     def whole(self) -> FloatArray:
-        """Return it as one matrix (a + n + c a, ..) of z."""
+        """Return it as one matrix (n + a + c a, ..) of z."""
         a, n, c = len(self.predictor), len(self.mean), len(self.from_mean)
-        F = np.zeros((a + n + c * a,) * 2)
-        F[:a, :a], F[a : a + n, a : a + n] = self.predictor, self.mean
-        F[a + n :, a + n :] = np.kron(np.eye(c), self.predictor)
-        F[a + n :, a : a + n] = self.from_mean.reshape(c * a, n)
+        F = np.zeros((n + a + c * a,) * 2)
+        F[:n, :n] = self.mean
+        F[n:, n:] = np.kron(np.eye(1 + c), self.predictor)
+        F[n + a :, :n] = self.from_mean.reshape(c * a, n)
         return F
 
     def of_responses(self) -> FloatArray:

@@ -34,10 +34,10 @@ def test_responses_are_what_the_whole_state_shows() -> None:
     Gamma, D = one.responses(gamma, drift, 6)
     for k in range(6):
         F = np.linalg.matrix_power(one.whole(), k)
-        np.testing.assert_allclose(Gamma[k], gamma @ F[:a, :a], rtol=1e-12)
+        np.testing.assert_allclose(Gamma[k], gamma @ F[n : n + a, n : n + a], rtol=1e-12)
         for i in range(c):
             seen = np.zeros((p, len(F)))
-            seen[:, a : a + n], seen[:, a + n + i * a : a + n + (i + 1) * a] = drift[i], gamma
-            np.testing.assert_allclose(D[k, :, i], (seen @ F)[:, a : a + n], rtol=1e-11, atol=1e-14)
+            seen[:, :n], seen[:, n + a + i * a : n + a + (i + 1) * a] = drift[i], gamma
+            np.testing.assert_allclose(D[k, :, i], (seen @ F)[:, :n], rtol=1e-11, atol=1e-14)
     G = [np.hstack([Gamma[k], D[k].reshape(p, -1)]) for k in range(6)]
     np.testing.assert_allclose(G[5], G[4] @ one.of_responses(), rtol=1e-11, atol=1e-14)

@@ -81,18 +81,15 @@ class _Doubling:
         have = hops if self.kept is None else self.kept.followed(hops)
         self.kept = _newest(have, self.longest - 1)
         self.hops += len(hops)
-        doubled = self._doubled(have)
-        ends = {}
+        starts = {}
         for count, every in self.kinds:
-            first = max(
-                len(have) - len(hops), count - 1
-            )  # of the hops at hand, the first at which a window ends
+            # of the hops at hand, the first at which a window ends
+            first = max(len(have) - len(hops), count - 1)
             first += (every - 1 - (self.hops - len(have) + first)) % every
             if first < len(have):
-                ends[count, every] = self._windows(
-                    doubled, count, slice(first - count + 1, len(have) - count + 1, every)
-                )
-        return ends
+                starts[count, every] = slice(first - count + 1, len(have) - count + 1, every)
+        doubled = self._doubled(have) if starts else {}
+        return {kind: self._windows(doubled, kind[0], which) for kind, which in starts.items()}
 
     def _doubled(self, have: Summary) -> dict[int, Summary]:
         """Return all windows of 1, 2 and 4 hops."""
@@ -131,6 +128,7 @@ class _Grouped:
         self.groups_kept = max(wholes, default=0) + 1
         self.hops = 0
         self.open: Summary | None = None  # hops of the group that is not full
+        self.prefix: Summary | None = None  # their sum
         self.suffixes: list[Summary] = []  # from hop k of each full group to its end
         self.middles: dict[int, Summary] = {}  # whole groups that end at the newest full groups
 
@@ -142,14 +140,20 @@ class _Grouped:
         self.hops += len(hops)
         ends = {kind: self._windows(kind, arrived, prefixes, old) for kind in self.kinds}
         self.open = arrived.open_hops()
-        self.suffixes = [_newest(suffix, self.groups_kept) for suffix in self.suffixes]
-        self.middles = {w: _newest(middle, 1) for w, middle in self.middles.items()}
+        self.prefix = _newest(prefixes[len(self.open) - 1], 1) if self.open else None
+        if arrived.full:
+            self.suffixes = [_newest(suffix, self.groups_kept) for suffix in self.suffixes]
+            self.middles = {w: _newest(middle, 1) for w, middle in self.middles.items()}
         return {kind: windows for kind, windows in ends.items() if windows is not None}
 
     def _prefixes(self, arrived: "_Arrived") -> list[Summary]:
-        """Return each group from its first hop up to hop k, for every phase k that occurs."""
-        prefixes = [arrived.phase(0)]
-        for k in range(1, min(GROUP, len(arrived.hops))):
+        """Return each group from its first hop up to hop k, for every phase k that occurs.
+
+        Where there is one group only, in the place of those that end before the new hops stands the newest.
+        """
+        goes_on = self.prefix if len(arrived.hops) <= GROUP else None
+        prefixes = [goes_on] * arrived.before if goes_on else [arrived.phase(0)]
+        for k in range(len(prefixes), min(GROUP, len(arrived.hops))):
             hop = arrived.phase(k)
             prefixes.append(prefixes[-1].part(slice(0, len(hop))).merged(hop, self.powers[k]))
         return prefixes
@@ -184,6 +188,8 @@ class _Grouped:
             groups = slice(-(-(first - k) // GROUP), -(-(have - k) // GROUP))
             if groups.start < groups.stop:
                 window = self._window(count, k, prefixes[k].part(groups), groups, (arrived.full, old))
+                if which.stop - which.start == 1:  # as nearly always while an agent runs
+                    return window
                 gram[groups, place], moment[groups, place] = window.gram, window.moment
         return Summary(gram.reshape(-1, width, width)[which], moment.reshape(-1, width, r)[which])
 
@@ -249,8 +255,10 @@ def _phases(every: int) -> range:
 
 
 def _newest(summary: Summary, count: int) -> Summary:
-    """Return the newest stretches, copied so that the others are let go."""
-    which = slice(max(0, len(summary) - count), None)
+    """Return the newest stretches, copied so that the others are let go where there are any."""
+    if len(summary) <= count:
+        return summary
+    which = slice(len(summary) - count, None)
     return Summary(summary.gram[which].copy(), summary.moment[which].copy())
 
 

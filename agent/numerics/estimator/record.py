@@ -14,6 +14,7 @@ from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
 from agent.numerics.preprocessing.rows import rows_with
 from agent.numerics.window.lost import Lost
+from agent.numerics.window.tail import Marks, Tail
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -23,31 +24,31 @@ class Record:
     def __init__(self, first: int, outputs: int, inputs: int, doubts: Doubts | None = None) -> None:
         self.first, self.p = first, outputs
         self.doubts = doubts or Doubts()
-        self._v = np.zeros((0, outputs + inputs))
-        self._lost = np.zeros((0, outputs + inputs), dtype=bool)
-        self._holed, self._changed = (
-            np.zeros(0, dtype=bool),
-            np.zeros(0, dtype=bool),
-        )  # samples, any reading or output
+        self._samples = Tail(first, np.zeros((0, outputs + inputs)))
+        self._losses = Tail(first, np.zeros((0, outputs + inputs), dtype=bool))
+        self._holed, self._changed = Marks(first), Marks(first)  # samples, any reading or output
 
     @property
     def stop(self) -> int:
         """Number after the newest sample."""
-        return self.first + len(self._v)
+        return self._samples.stop
+
+    @property
+    def _v(self) -> FloatArray:
+        return self._samples.held()
+
+    @property
+    def _lost(self) -> BoolArray:
+        return self._losses.held()
 
     def append(self, y: FloatArray, u: FloatArray, lost: BoolArray | None) -> None:
         """Take samples that follow at once; lost (N, p+m)."""
-        had = len(self._v)
-        v = np.empty((had + len(y), self._v.shape[1]))
-        v[:had], v[had:, : self.p], v[had:, self.p :] = self._v, y, u
-        before = max(had - 1, 0)
-        self._changed = np.concatenate(
-            [self._changed, rows_with(np.diff(y, axis=0, prepend=v[before : before + 1, : self.p]) != 0)]
-        )
-        self._v = v
-        lost = np.zeros((len(y), v.shape[1]), dtype=bool) if lost is None else lost
-        self._holed = np.concatenate([self._holed, rows_with(lost)])
-        self._lost = np.concatenate([self._lost, lost])
+        before = self.outputs(self.stop - 1, self.stop) if self.stop > self.first else y[:1]
+        self._changed.append(rows_with(np.diff(y, axis=0, prepend=before) != 0))
+        self._samples.append(np.concatenate([y, u], axis=1))
+        lost = np.zeros((len(y), y.shape[1] + u.shape[1]), dtype=bool) if lost is None else lost
+        self._holed.append(rows_with(lost))
+        self._losses.append(lost)
 
     def outputs(self, start: int, stop: int) -> FloatArray:
         """Return y of samples [start, stop)."""
@@ -69,11 +70,11 @@ class Record:
 
     def lost_in(self, index: IntArray, window: int) -> IntArray:
         """Return how many samples (N,) with lost readings the windows that end at samples `index` hold."""
-        return self._count(self._holed, index, window)
+        return self._holed.count(index, window)
 
     def changes_in(self, index: IntArray, window: int) -> IntArray:
         """Return in how many samples (N,) of windows ending at samples `index` some output changes code."""
-        return self._count(self._changed, index, window - 1)
+        return self._changed.count(index, window - 1)
 
     def rests_in(self, index: IntArray, window: int) -> BoolArray:
         """(N,) windows that end at samples `index` in which all outputs stay at their codes for half of them.
@@ -81,7 +82,7 @@ class Record:
         Seen on a grid of eighths: surely if they stay for five of them.
         """
         half, eighth = window // 2, window // 8
-        rests = np.array([self._count(self._changed, index - k * eighth, half) == 0 for k in range(5)])
+        rests = np.array([self._changed.count(index - k * eighth, half) == 0 for k in range(5)])
         return np.asarray(rests.any(axis=0))
 
     def repeats_in(self, index: IntArray, window: int) -> FloatArray:
@@ -97,15 +98,6 @@ class Record:
         start = int(index[0]) + 1 - window
         before = min(start - self.first, MOST_REPEATS)
         return RoundingErrors(start, self.outputs(start - before, int(index[-1]) + 1), rounding, before)
-
-    def _count(self, marks: BoolArray, index: IntArray, samples: int) -> IntArray:
-        """(N,) marks among so many samples that end at samples `index`."""
-        oldest = max(int(index[0]) + 1 - samples - self.first, 0) if len(index) else 0
-        if not marks[oldest:].any():
-            return np.zeros(len(index), dtype=np.int64)
-        total = np.concatenate([[0], np.cumsum(marks[oldest:])])
-        stop = index + 1 - self.first - oldest
-        return np.asarray(total[stop] - total[np.maximum(stop - samples, 0)])
 
     def spread_in(self, index: IntArray, window: int) -> FloatArray:
         """Return the standard deviation (N, p) of each output over windows that end at samples `index`."""
@@ -136,7 +128,7 @@ class Record:
 
     def loses(self, start: int, stop: int) -> bool:
         """Whether any reading of samples [start, stop) is lost."""
-        return bool(self._lost[start - self.first : stop - self.first].any())
+        return bool(self._holed.count(np.array(stop - 1), stop - start))
 
     def lost_between(self, start: int, stop: int, window: int) -> Lost:
         """Return the lost readings of samples [start, stop), judged by the `window` samples before `stop`.
@@ -164,9 +156,10 @@ class Record:
         self, sample: int, taps: Sequence[tuple[int, int, float]], channel: int, change: float
     ) -> None:
         """Take a reading for read: `change` more than it was filled with, wherever it enters."""
-        at = sample - self.first
-        self._lost[at, channel] = False
-        self._holed[at] = self._lost[at].any()
+        lost = self._lost[sample - self.first]
+        if lost[channel] and lost.sum() == 1:
+            self._holed.unmark(sample)
+        lost[channel] = False
         for offset, column, weight in taps:
             if column < self._v.shape[1] and self.first <= sample + offset < self.stop:
                 self._v[sample + offset - self.first, column] += weight * change
@@ -176,11 +169,14 @@ class Record:
         newest = index - self.first
         inputs = np.flatnonzero(driven)
         oldest = np.maximum(newest - span + 1, 0)
-        u = self._v[:, self.p + inputs]
-        same = (newest >= span - 1)[:, None] & (u[newest] == u[oldest])
+        columns = self.p + inputs
+        same = (newest >= span - 1)[:, None] & (
+            self._v[newest[:, None], columns] == self._v[oldest[:, None], columns]
+        )
         if same.any():
             part = slice(int(oldest.min()), int(newest.max()) + 1)
-            moves = np.cumsum(u[part][1:] != u[part][:-1], axis=0)
+            u = self._v[part, columns]
+            moves = np.cumsum(u[1:] != u[:-1], axis=0)
             moves = np.concatenate([np.zeros((1, len(inputs)), dtype=int), moves])
             same &= moves[newest - part.start] == moves[oldest - part.start]
         rests = np.zeros((len(index), len(driven)), dtype=bool)
@@ -221,7 +217,7 @@ class Record:
         """Let go of samples older than the newest `keep`, now and then."""
         spare = len(self._v) - keep
         if spare > keep + SPARE:
-            self._v, self._lost = self._v[spare:].copy(), self._lost[spare:].copy()
-            self._holed, self._changed = self._holed[spare:].copy(), self._changed[spare:].copy()
             self.first += spare
+            for kept in (self._samples, self._losses, self._holed, self._changed):
+                kept.forget(self.first)
             self.doubts.trim(self.first)

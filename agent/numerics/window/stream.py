@@ -16,6 +16,7 @@ from agent.numerics.window.lost import Lost, Taps
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import BankRows, Windowed
 from agent.numerics.window.solve import Solved, Starts
+from agent.numerics.window.tail import Tail
 from agent.numerics.window.tuning import BATCH, RENEWED, SPARE
 from agent.types import FloatArray, IntArray
 
@@ -54,7 +55,7 @@ class Stream:
         self._given = given
         size = self.operators.size
         first_hop = -(-index // self.plan.hop)
-        self._samples = Tail(first_hop * self.plan.hop, size.p + size.m)
+        self._samples = Tail(first_hop * self.plan.hop, np.empty((0, size.p + size.m)))
         self._losses.forget(self._samples.first, self._samples.first)
         self._begin(first_hop, np.zeros(size.z))
 
@@ -91,7 +92,7 @@ class Stream:
         self._head: Summary | None = None
         self._done = hop * self.plan.hop
         self._began = hop
-        self._states = Tail(hop, len(z))  # at the starts of hops
+        self._states = Tail(hop, np.empty((0, len(z))))  # at the starts of hops
         self._sliding = _sliding(self.operators)
         self._losses.begin(self.operators)
         self._newest_columns: tuple[tuple[int, int], FloatArray] | None = None
@@ -236,39 +237,6 @@ class Stream:
         z = np.zeros(size.z)
         z[: size.n] = z[size.n : 2 * size.n] = self._best
         self._begin(hop, z)
-
-
-class Tail:
-    """Numbered rows of equal width, the oldest of which may be let go.
-
-    Args:
-        first: number of the first row.
-        width: columns.
-    """
-
-    def __init__(self, first: int, width: int) -> None:
-        self.first = first
-        self.stop = first
-        self._table: FloatArray = np.empty((64, width))
-
-    def append(self, rows: FloatArray) -> None:
-        """Add rows (N, width) at the end."""
-        used = self.stop - self.first
-        if used + len(rows) > len(self._table):
-            larger = np.empty((2 * (used + len(rows)), self._table.shape[1]))
-            larger[:used] = self._table[:used]
-            self._table = larger
-        self._table[used : used + len(rows)] = rows
-        self.stop += len(rows)
-
-    def part(self, start: int, stop: int) -> FloatArray:
-        """Return rows [start, stop) by their numbers, as a view."""
-        return self._table[start - self.first : stop - self.first]
-
-    def forget(self, oldest: int) -> None:
-        """Let go of the rows before number `oldest`."""
-        self._table = self.part(oldest, self.stop).copy()
-        self.first = oldest
 
 
 def _sliding(operators: Operators) -> Sliding:

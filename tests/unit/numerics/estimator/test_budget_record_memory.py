@@ -63,6 +63,20 @@ def test_record_keeps_what_is_asked_for_and_counts_what_was_lost() -> None:
     assert beside[:, 3] == pytest.approx(np.diff(v[28_992:28_995, 2]))
 
 
+def test_sample_of_a_record_is_lost_until_its_last_lost_reading_is_restored() -> None:
+    kept = Record(3, 2, 1)
+    lost = np.zeros((10, 3), dtype=bool)
+    lost[4, 1:] = lost[6, 0] = True
+    kept.append(np.zeros((10, 2)), np.zeros((10, 1)), lost)
+    ends = np.arange(5, 13)
+    for channel, counts in ((2, [0, 0, 1, 1, 2, 1, 1, 0]), (1, [0, 0, 0, 0, 1, 1, 1, 0])):
+        kept.restore(7, [(0, channel, 1.0)], channel, 0.5)
+        assert kept.lost_in(ends, 3).tolist() == counts
+    assert not kept.loses(3, 9)
+    assert kept.loses(9, 10)
+    assert kept.samples(7, 8).tolist() == [[0.0, 0.5, 0.5]]
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_record_finds_windows_that_are_quiet_and_inputs_that_rest(seed: int) -> None:
     rng = np.random.default_rng(seed)

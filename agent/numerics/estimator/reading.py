@@ -81,14 +81,14 @@ def read(
     own = np.where(own > 0, own, np.nan)  # a variance without digits: the row counts as broken
     by_constants = point.unit * by_constants
     theta = point.theta + point.unit * moved
-    again = np.broadcast_to(np.asarray(repeats, dtype=np.float64), len(own))[:, None]
+    again = np.reshape(repeats, (-1, 1))
     sharp = np.sqrt(again * own)
     # the point was found by sharper windows: a poor one moves it only by what chance never does
     least = np.where(sharp > POORER * point.sharpest, FARTHEST_SD, far_sd)
     # by as much as constants leave open in a window its estimate may differ from that of any other
     spread = np.hypot(sharp, by_constants / point.unit)
     far = np.abs(moved) > np.maximum(least * spread, np.sqrt(FAR_CURVATURE * sharp))
-    far &= sharp < FAR_SHARPEST
+    far = (far & (sharp < FAR_SHARPEST)).any(axis=1)
     rss = np.maximum(windowed.normal.rss - np.einsum("ni,ni->n", windowed.normal.g, d), 1e-300)
     dof: FloatArray = float(samples * len(point.model.C) - point.model.n - q) - windowed.lost.astype(float)
     stop = windowed.index + 1
@@ -103,7 +103,7 @@ def read(
     own_wider = own * widened(inflation[:, None] * point.wider, again)
     own_wider = own_wider * louder(power, alike, point.unsure)[:, None]
     # a row that is far from the point carries the term of second order that it neglects, until it is solved
-    neglected = np.where(far.any(axis=1)[:, None], moved**2, 0.0)
+    neglected = np.where(far[:, None], moved**2, 0.0)
     repeat = np.hypot(point.unit * np.hypot(np.sqrt(own_wider), neglected), point.slid)
     shape = point.shape
     half = NORMAL_975 * np.sqrt(repeat**2 + (shape.share * by_constants) ** 2) + shape.apart * by_constants
@@ -115,7 +115,7 @@ def read(
     return Reading(
         windowed.index, theta + shape.mean * by_constants, width, centre - half, centre + half, repeat, jump,
         excess,
-        far.any(axis=1), dof, samples, windowed.unsolved, _found(windowed, d, covariance),
+        far, dof, samples, windowed.unsolved, _found(windowed, d, covariance),
     )  # fmt: skip
 
 
@@ -130,24 +130,25 @@ def solved(
     difference of numbers that grow with the readings' precision.
     """
     q = len(along)
-    H, g = normal.H, normal.g
-    given = inverse(H[:, :q, :q] + FLAT * np.eye(q))
-    moved = -given @ H[:, :q, q:]
-    alone = np.einsum("nij,nj->ni", given, g[:, :q])
-    left = H[:, q:, q:] + H[:, q:, :q] @ moved
-    constants = inverse(0.5 * (left + left.transpose(0, 2, 1)) + np.eye(left.shape[1]))
-    found = np.einsum("nij,nj->ni", constants, g[:, q:] + np.einsum("nij,ni->nj", moved, g[:, :q]))
+    own, others = normal.both[:, :q], normal.both[:, q:]
+    given = inverse(own[:, :, 1 : 1 + q] + FLAT * np.eye(q))
+    alone = given @ own  # of the parameters' g, of their H, and of theirs with the constants: side by side
+    left = others - others[:, :, 1 : 1 + q] @ alone
+    moved = -alone[:, :, 1 + q :]
+    precision = left[:, :, 1 + q :]
+    constants = inverse(0.5 * (precision + precision.transpose(0, 2, 1)) + np.eye(len(others[0])))
+    found = constants @ left[:, :, :1]
     across = moved @ constants
     own = given + across @ moved.transpose(0, 2, 1)
-    covariance = np.empty_like(H)
+    covariance = np.empty((len(given), q + len(found[0]), q + len(found[0])))
     covariance[:, :q, :q] = own
     covariance[:, :q, q:] = across
     covariance[:, q:, :q] = across.transpose(0, 2, 1)
     covariance[:, q:, q:] = constants
-    d = np.concatenate([alone + np.einsum("nij,nj->ni", moved, found), found], axis=1)
+    d = np.concatenate([alone[:, :, :1] + moved @ found, found], axis=1)[:, :, 0]
     whole = moved + along
     variance = ((whole @ constants) * whole).sum(axis=2) + unseen
-    return d, covariance, np.diagonal(given, axis1=1, axis2=2), np.sqrt(np.maximum(variance, 0.0))
+    return d, covariance, given.diagonal(axis1=1, axis2=2), np.sqrt(np.maximum(variance, 0.0))
 
 
 def _jumps(

@@ -65,17 +65,26 @@ class Normal:
     P⁻¹ m)).
 
     Attributes:
-        H, g: (N, c, c), (N, c).
+        both: (N, c, 1+c) g and H side by side.
         rss: (N,) squared residual at d = 0.
         log_det: log|covariance of the window's readings| + log|information on the initial state|.
         x0: (N, n) best (shifted) physical state at the window's first sample.
     """
 
-    H: FloatArray
-    g: FloatArray
+    both: FloatArray
     rss: FloatArray
     log_det: float
     x0: FloatArray
+
+    @property
+    def H(self) -> FloatArray:  # noqa: N802 - as the books call it
+        """(N, c, c), a view."""
+        return self.both[:, :, 1:]
+
+    @property
+    def g(self) -> FloatArray:
+        """(N, c), a view."""
+        return self.both[:, :, 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +103,7 @@ class Solved:
     def part(self, which: slice) -> "Solved":
         """Return some of the windows."""
         n = self.normal
-        return Solved(Normal(n.H[which], n.g[which], n.rss[which], n.log_det, n.x0[which]), self.moved[which])
+        return Solved(Normal(n.both[which], n.rss[which], n.log_det, n.x0[which]), self.moved[which])
 
 
 class WindowSolver:
@@ -147,16 +156,14 @@ class WindowSolver:
         beside = summary.moment + row_products(moved, self._beside)
         half = moved @ np.concatenate([beside, components], axis=2).transpose(0, 2, 1)
         gram = summary.gram + half + half.transpose(0, 2, 1)
-        normal = Normal(gram[:, 1:, 1:], gram[:, 1:, 0], np.maximum(gram[:, 0, 0], 0.0), self.log_det, x0)
-        return Solved(normal, moved)
+        return Solved(Normal(gram[:, 1:], np.maximum(gram[:, 0, 0], 0.0), self.log_det, x0), moved)
 
 
 def inverse(M: FloatArray) -> FloatArray:
     """Return the inverse of positive M (..., k, k): what nothing shows has a huge sd, all else its own."""
-    d = 1.0 / np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), 1e-300))
-    across = d[..., :, None]
-    along = d[..., None, :]
-    return np.asarray(np.linalg.inv(M * across * along + UNSEEN * np.eye(M.shape[-1])) * across * along)
+    d = 1.0 / np.sqrt(np.maximum(M.diagonal(axis1=-2, axis2=-1), 1e-300))
+    scale = d[..., :, None] * d[..., None, :]
+    return np.asarray(np.linalg.inv(M * scale + UNSEEN * np.eye(M.shape[-1])) * scale)
 
 
 def _orthonormal(span: FloatArray) -> tuple[FloatArray, FloatArray, float]:

@@ -12,7 +12,7 @@ SAMPLES, Q = 2000, 3
 
 def normal_of(columns: FloatArray, y: FloatArray) -> Normal:
     H, g = columns.T @ columns, columns.T @ y
-    return Normal(H[None], g[None], np.array([y @ y]), 0.0, np.zeros((1, 2)))
+    return Normal(np.column_stack([g, H])[None], np.array([y @ y]), 0.0, np.zeros((1, 2)))
 
 
 def test_solution_is_that_of_dense_least_squares_with_unit_priors_on_the_constants() -> None:

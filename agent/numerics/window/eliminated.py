@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.numerics.window.filtering.summary import Summary
-from agent.numerics.window.jump import Jumps, LostRight
+from agent.numerics.window.jump import Jumps, JumpScan, LostRight
 from agent.numerics.window.lost import Events, Lost
 from agent.numerics.window.operators import Operators
 from agent.numerics.window.rows import Asked, Windowed
@@ -216,22 +216,24 @@ class Solving:
             found.solved.normal.x0[0],
         )
         self.lost[i] = int(np.isinf(columns.lost.sd).sum())
-        if self.scanning is not None:
-            self._scan(self.scanning, found, i, hop)
+        if self.scanning is not None and self.operators.scan is not None:
+            self._scan(self.operators.scan, self.scanning, found, i, hop)
         if self.number == 0 and columns.lost.asked.any():
             self.asked.append(_answer(found, int(self.index[i])))
 
-    def _scan(self, scanning: Scanning, found: Eliminated, i: int, hop: int) -> None:
+    def _scan(self, scan: JumpScan, scanning: Scanning, found: Eliminated, i: int, hop: int) -> None:
         """Put the window's own columns of a jump in the place of those with its readings as filled in."""
         at = int(np.searchsorted(scanning.jumps.index, self.index[i]))
         if at == len(scanning.jumps.index) or scanning.jumps.index[at] != self.index[i]:
             return
         row = slice(at, at + 1)
-        own = self.starts.part(slice(i, i + 1))
-        for b, scan in enumerate(self.operators.scans):
-            right = found.right_of(self.operators, scan.right, hop, scanning.parts[b].part(row))
-            columns = scan.columns(found.solved, right[1], own, scanning.starts[b].part(row), right[0])
-            scanning.jumps.cross[at, b], scanning.jumps.own[at, b] = columns[0][0], columns[1][0]
+        each = zip(self.operators.rights, scanning.parts, strict=True)
+        rights = [found.right_of(self.operators, right, hop, part.part(row)) for right, part in each]
+        starts = self.starts.part(slice(i, i + 1))
+        ats = [start.part(row) for start in scanning.starts]
+        lost, filled = [one[0] for one in rights], [one[1] for one in rights]
+        cross, own = scan.columns(found.solved, filled, starts, ats, lost)
+        scanning.jumps.cross[at], scanning.jumps.own[at] = cross[:, 0], own[:, 0]
 
     def windowed(self) -> Windowed:
         """Return the rows."""

@@ -9,13 +9,14 @@ balanced coordinates, so the window's and the right part's summaries give X'J an
 with Γ projected out everywhere.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from agent.numerics.model.statespace import StateSpace
 from agent.numerics.window.filtering.basis import Basis
-from agent.numerics.window.filtering.products import row_products
+from agent.numerics.window.filtering.products import row_products, stacked_products
 from agent.numerics.window.filtering.summary import Summary
 from agent.numerics.window.solve import Solved, Starts, WindowSolver
 from agent.numerics.window.tuning import BOUNDARIES, GROUP, SCANS, SINGULAR
@@ -48,9 +49,10 @@ class Jumps:
         A constant that is taken as known has rows and columns of zeros in the covariance.
         """
         shown = self.cross[:, :, 1:]
-        score = self.cross[:, :, 0] - np.einsum("nc,nbcq->nbq", d, shown)
-        information = self.own - shown.transpose(0, 1, 3, 2) @ (covariance[:, None] @ shown)
-        left, whole = np.einsum("nbii->nbi", information), np.einsum("nbii->nbi", self.own)
+        taken = np.concatenate([covariance, d[:, None]], axis=1)[:, None] @ shown
+        score = self.cross[:, :, 0] - taken[:, :, -1]
+        information = self.own - shown.swapaxes(2, 3) @ taken[:, :, :-1]
+        left, whole = information.diagonal(axis1=2, axis2=3), self.own.diagonal(axis1=2, axis2=3)
         seen = left > np.maximum(
             SINGULAR * whole, 1e-300
         )  # the rest is rounding: of such a jump nothing is known
@@ -95,59 +97,59 @@ class LostRight:
 
 
 class JumpScan:
-    """Constants of the columns of a jump `right` whole hops and a head before a window's end."""
+    """Constants of the columns of jumps, each of them so many whole hops and a head before a window's end."""
 
     def __init__(
-        self, basis: Basis, solver: WindowSolver, model: StateSpace, fulls: int, right: int, q: int
+        self, basis: Basis, solver: WindowSolver, model: StateSpace, fulls: int, rights: Sequence[int], q: int
     ) -> None:
-        before = fulls - right
         self.q = q
-        factor = basis.factor(right)
-        self.right = right
-        self.square = factor.T @ factor
         n = basis.drift.shape[2]
-        self._drift = np.linalg.matrix_power(model.A, before * basis.plan.hop).T @ (
-            basis.drift[:q].transpose(2, 0, 1).reshape(n, -1)
-        )
+        drift = basis.drift[:q].transpose(2, 0, 1).reshape(n, -1)
+        befores = [(fulls - right) * basis.plan.hop for right in rights]
+        self._drift = np.hstack([np.linalg.matrix_power(model.A, before).T @ drift for before in befores])
         self._gamma = basis.gamma[:, : solver.a].T.copy()
-        over = basis.over(before)  # coordinates at the window's start -> at the boundary
-        along = (
-            over @ solver.directions
-        )  # what is seen on the right -> components along the window's initial states
-        outside = over.T - solver.reach.T @ along.T
-        self._along = along
-        self._moved = np.vstack([outside, 2 * along.T])
+        factors = [basis.factor(right) for right in rights]
+        self._square = np.array([factor.T @ factor for factor in factors])
+        # coordinates at the window's start -> at the boundary
+        overs = [basis.over(fulls - right) for right in rights]
+        # what is seen on the right -> components along the window's initial states
+        alongs = [over @ solver.directions for over in overs]
+        outsides = [over - along @ solver.reach for over, along in zip(overs, alongs, strict=True)]
+        self._shown = np.concatenate([outsides, 2 * np.array(alongs)], axis=2)
 
     def columns(
-        self, solved: Solved, right: Summary, starts: Starts, at: Starts, lost: LostRight | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return cross (N, 1+c, q) and own (N, q, q) for N windows; `at` holds the filters at the boundary.
+        self, solved: Solved, rights: Sequence[Summary], starts: Starts, ats: Sequence[Starts],
+        lost: Sequence[LostRight] = (),
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Return cross (b, N, 1+c, q) and own (b, N, q, q) for N windows; `ats` holds filters at boundaries.
 
-        lost: readings of the (one) window that are unknown; `right` is as filled by what they were found to
+        lost: readings of the (one) window that are unknown; `rights` are as filled by what they were found to
         be.
         """
         q = self.q
-        count = len(right)
-        moved = row_products(solved.normal.x0 - starts.mean, self._drift).reshape(count, q, -1)
-        j = moved - row_products(at.tangents[:, :q], self._gamma)  # (N, q, r)
-        alone = right.moment[:, 1 : 1 + q]
-        seen = alone + row_products(j, self.square)  # U'J
-        along = row_products(seen, self._along)  # (N, q, k)
-        # X'J = X'ψ + [U'X; (1 − projection) of what was added]'[j; U'J],
-        # J'J = ψ'ψ + half + half', half = ½ (U'ψ)'j + ½ j'U'J − ½ along'along: all in one product
-        width, r = right.moment.shape[1:]
-        left = np.zeros((count, width + q, 2 * r + along.shape[2]))
-        left[:, :width, :r] = right.moment
-        left[:, :width, r : 2 * r] = row_products(solved.moved, self._moved)
-        left[:, width:, :r], left[:, width:, r : 2 * r] = 0.5 * alone, 0.5 * j
-        left[:, width:, 2 * r :] = -0.5 * along
-        both = left @ np.concatenate([j, seen, along], axis=2).transpose(0, 2, 1)
-        gram, half = right.gram[:, :, 1 : 1 + q], both[:, width:]
-        cross, own = gram + both[:, :width], gram[:, 1 : 1 + q] + half + half.transpose(0, 2, 1)
-        if lost is None:
-            return cross, own
-        shown = (
-            lost.psi[:, :q] + lost.U @ j[0].T - lost.components @ along[0].T
-        )  # (l, q) h'J, Γ projected out
-        weighed = lost.covariance @ shown
-        return cross - lost.cross.T @ weighed, own - shown.T @ weighed
+        r = len(self._gamma[0])
+        moment = np.array([right.moment for right in rights])
+        gram = np.array([right.gram[:, :, 1 : 1 + q] for right in rights])
+        count, width = gram.shape[1:3]
+        drifts = row_products(solved.normal.x0 - starts.mean, self._drift).reshape(count, -1, q, r)
+        tangents = np.array([at.tangents[:, :q] for at in ats])
+        j = drifts.transpose(1, 0, 2, 3) - row_products(tangents, self._gamma)
+        alone = moment[:, :, 1 : 1 + q]
+        seen = alone + stacked_products(j, self._square)  # U'J
+        shown = stacked_products(seen, self._shown)  # (1 − projection) of it, and twice its components
+        # X'J = X'ψ + [U'X; what was added to X][j; shown],
+        # J'J = ψ'ψ + half + half', half = ½ (U'ψ + U'J)'j − ½ along'along: all in one product
+        left = np.zeros((*gram.shape[:2], width + q, r + shown.shape[3]))
+        left[:, :, :width, :r], left[:, :, :width, r:] = moment, solved.moved
+        left[:, :, width:, :r] = 0.5 * (alone + seen)
+        left[:, :, width:, 2 * r :] = -0.125 * shown[:, :, :, r:]
+        both = left @ np.concatenate([j, shown], axis=3).swapaxes(2, 3)
+        half = both[:, :, width:]
+        cross, own = gram + both[:, :, :width], gram[:, :, 1 : 1 + q] + half + half.swapaxes(2, 3)
+        for b, one in enumerate(lost):
+            # (l, q) h'J, Γ projected out
+            of_lost = one.psi[:, :q] + one.U @ j[b, 0].T - 0.5 * one.components @ shown[b, 0, :, r:].T
+            weighed = one.covariance @ of_lost
+            cross[b] -= one.cross.T @ weighed
+            own[b] -= of_lost.T @ weighed
+        return cross, own

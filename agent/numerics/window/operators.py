@@ -14,7 +14,7 @@ from agent.numerics.window.filtering.noise import NoiseModel, Push, predictor_of
 from agent.numerics.window.filtering.products import row_products
 from agent.numerics.window.filtering.summary import Summary
 from agent.numerics.window.jump import JumpScan, boundaries, scanned_rows
-from agent.numerics.window.solve import Solved, Starts, WindowSolver
+from agent.numerics.window.solve import WindowSolver
 from agent.numerics.window.tuning import CHUNK, ROWS, STABLE
 from agent.types import FloatArray
 
@@ -56,8 +56,10 @@ class Operators:
         )
         self.rights = boundaries(plan.fulls)
         self.over = {count: self.basis.over(count) for count in (*self.lengths, *self.rights)}
-        self.scans = tuple(
-            JumpScan(self.basis, self.solvers[0], model, plan.fulls, right, interest) for right in self.rights
+        self.scan = (
+            JumpScan(self.basis, self.solvers[0], model, plan.fulls, self.rights, interest)
+            if self.rights
+            else None
         )
         self.every = scanned_rows(plan.fulls)
         self.decays = spectral_radius(model.A) < 1 - STABLE
@@ -101,13 +103,3 @@ class Operators:
         lengths = filters.head if len(hop_samples) == self.plan.head else (*filters.head, *filters.rest)
         v = hop_samples[None]
         return np.asarray(filters.outputs(lengths, v, filters.through(lengths, v, start[None]))[0])
-
-    def scan(
-        self, solved: Solved, rights: Sequence[Summary], starts: Starts, ats: Sequence[Starts]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return cross and own (see `Jumps`) of N windows of the first length, at each boundary."""
-        each = [
-            scan.columns(solved, right, starts, at)
-            for scan, right, at in zip(self.scans, rights, ats, strict=True)
-        ]
-        return np.stack([e[0] for e in each], 1), np.stack([e[1] for e in each], 1)

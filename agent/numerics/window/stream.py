@@ -193,18 +193,17 @@ class Stream:
         self, solved: Solved, windows: dict[Kind, Summary], starts: Starts, index: IntArray
     ) -> Scanning | None:
         """Return the columns of a jump in those windows that are scanned, and what they are made of."""
-        rights = self.operators.rights
-        every = self.operators.every
+        scan, rights, every = self.operators.scan, self.operators.rights, self.operators.every
         count = len(index)
         which = self._scanned(count)
         scanned = index[which]
-        if not rights or not len(scanned):
+        if scan is None or not len(scanned):
             return None
         parts = [_newest(windows[right, every], len(scanned)) for right in rights]
         ats = [self._starts(right, count).part(which) for right in rights]
-        cross, own = self.operators.scan(solved.part(which), parts, starts.part(which), ats)
+        cross, own = scan.columns(solved.part(which), parts, starts.part(which), ats)
         samples = tuple(self.plan.samples(right) for right in rights)
-        return Scanning(Jumps(scanned, cross, own, samples), parts, ats)
+        return Scanning(Jumps(scanned, cross.swapaxes(0, 1), own.swapaxes(0, 1), samples), parts, ats)
 
     def _over(self, hop: int, stop: int) -> FloatArray:
         """Return [e ψ] of a hop's samples up to `stop`; the newest are at hand."""

@@ -28,6 +28,17 @@ def row_products(left: FloatArray, right: FloatArray) -> FloatArray:
     return products if rows is left else products.reshape(*left.shape[:-1], right.shape[1])
 
 
+def stacked_products(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return left (b, N, .., k) @ right (b, k, m): `row_products` of each of b pairs."""
+    rows = left.reshape(len(left), -1, left.shape[-1])
+    count = rows.shape[1]
+    if count % ROWS:
+        filled = np.zeros((len(rows), count + -count % ROWS, rows.shape[2]))
+        filled[:, :count] = rows
+        rows = filled
+    return np.asarray((rows @ right)[:, :count].reshape(*left.shape[:-1], right.shape[2]))
+
+
 def _filled_up(rows: FloatArray) -> FloatArray:
     filled = np.zeros((ROWS, rows.shape[1]))
     filled[: len(rows)] = rows

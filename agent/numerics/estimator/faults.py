@@ -95,7 +95,7 @@ class Faults:
     def rested(self, record: Record, index: IntArray) -> None:
         """Note the values at which inputs rest in windows, ending at samples `index`, that hold."""
         resting = record.resting_in(index, self.learner.window // RESTS, self.learner.rig.driven)
-        for row, number in np.argwhere(resting).tolist():
+        for row, number in zip(*(places.tolist() for places in resting.nonzero()), strict=True):
             if len(self._rests) < MOST_RESTS:
                 self._rests.add((number, record.newest_input(int(index[row]), number)))
 

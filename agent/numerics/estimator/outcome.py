@@ -88,7 +88,7 @@ class Outcome:
 
     def copy(self) -> "Outcome":
         """Return rows that may be changed by themselves."""
-        return replace(self, **{name: getattr(self, name).copy() for name in _columns() if name != "index"})
+        return replace(self, **{name: getattr(self, name).copy() for name in COLUMNS if name != "index"})
 
     def write(self, row: int, posterior: Posterior, enough_sd: FloatArray) -> None:
         """Put what a window was found to say by itself in the place of a row."""
@@ -132,9 +132,7 @@ class Outcome:
         if len(pieces) == 1:
             return pieces[0]
         pieces = pieces or [cls.warming(np.zeros(0, dtype=np.int64), q)]
-        whole: dict[str, Any] = {
-            n: np.concatenate([getattr(piece, n) for piece in pieces]) for n in _columns()
-        }
+        whole: dict[str, Any] = {n: np.concatenate([getattr(piece, n) for piece in pieces]) for n in COLUMNS}
         whole |= {
             name: tuple(chain.from_iterable(getattr(piece, name) for piece in pieces)) for name in EVENTS
         }
@@ -145,7 +143,11 @@ class Outcome:
     def part(self, start: int, stop: int) -> "Outcome":
         """Return rows [start, stop)."""
         others = tuple(other.part(start, stop) for other in self.others)
-        return replace(self, others=others, **{name: getattr(self, name)[start:stop] for name in _columns()})
+        return replace(self, others=others, **{name: getattr(self, name)[start:stop] for name in COLUMNS})
+
+
+COLUMNS = [field.name for field in fields(Outcome) if field.name not in ("others", *EVENTS)]
+"""Fields that have an entry a hop."""
 
 
 def clean(found: Reading, index: IntArray, broken: BoolArray, ended: IntArray) -> tuple[IntArray, BoolArray]:
@@ -186,11 +188,6 @@ def chosen(
         for unusable in at[whole & ~use].tolist():
             each[-1].invalidate(unusable, Reason.CHANGING)
     return replace(rows, others=tuple(each))
-
-
-def _columns() -> list[str]:
-    """Return the names of the fields that have an entry a hop."""
-    return [f.name for f in fields(Outcome) if f.name not in ("others", *EVENTS)]
 
 
 def _other(piece: Outcome, number: int, q: int) -> Outcome:

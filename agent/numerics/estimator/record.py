@@ -43,12 +43,17 @@ class Record:
 
     def append(self, y: FloatArray, u: FloatArray, lost: BoolArray | None) -> None:
         """Take samples that follow at once; lost (N, p+m)."""
-        before = self.outputs(self.stop - 1, self.stop) if self.stop > self.first else y[:1]
-        self._changed.append(rows_with(np.diff(y, axis=0, prepend=before) != 0))
-        self._samples.append(np.concatenate([y, u], axis=1))
-        lost = np.zeros((len(y), y.shape[1] + u.shape[1]), dtype=bool) if lost is None else lost
-        self._holed.append(rows_with(lost))
-        self._losses.append(lost)
+        start = self.stop
+        v = self._samples.more(len(y))
+        v[:, : self.p], v[:, self.p :] = y, u
+        marks = self._losses.more(len(y))
+        marks[:] = False if lost is None else lost
+        self._holed.append(rows_with(marks))
+        if start == self.first and len(y):
+            self._changed.append(np.zeros(1, dtype=bool))  # there is none before the first
+            start += 1
+        y = self.outputs(start - 1, self.stop)
+        self._changed.append(rows_with(y[1:] != y[:-1]))
 
     def outputs(self, start: int, stop: int) -> FloatArray:
         """Return y of samples [start, stop)."""
@@ -120,7 +125,8 @@ class Record:
         """
         newest = index - self.first
         places = np.maximum(newest - np.arange(PLACES)[:, None] * (window // PLACES), 0)
-        apart = np.ptp(self._v[places, : self.p], axis=0)
+        seen = self._v[places, : self.p]
+        apart = seen.max(axis=0) - seen.min(axis=0)
         quiet = np.asarray((apart < np.sqrt(2 * window) * least).all(axis=1))
         if quiet.any():
             quiet[quiet] = (self.spread_in(index[quiet], window) < least).all(axis=1)

@@ -106,7 +106,9 @@ class SlidingEstimator:
         u = self.explainer.doubts.replaced(index, u, suspect, y.shape[1])
         ready = self._ahead.step(index, y, u, missing, suspect)
         rows = self._rows(ready) if len(ready.y) else Outcome.joined([], self.settings.rig.q)
-        return replace(rows, beliefs=self.explainer.take_beliefs(), findings=self.explainer.faults.take())
+        beliefs = self.explainer.take_beliefs()
+        findings = self.explainer.faults.take()
+        return replace(rows, beliefs=beliefs, findings=findings) if beliefs or findings else rows
 
     def _rows(self, ready: Ready) -> Outcome:
         """Take complete samples; return the rows they end."""
@@ -119,7 +121,8 @@ class SlidingEstimator:
         record = self._record
         record.append(y, u, missing)
         due = plan.rows_between(index, index + len(y))
-        pieces = [Outcome.warming(due[due < self._whole], q)]
+        warming = due[due < self._whole]
+        pieces = [Outcome.warming(warming, q)] if len(warming) else []
         while not self.explainer.bank.is_running and record.stop > self._whole:
             first = self._whole
             begun = self._begin(record)

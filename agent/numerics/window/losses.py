@@ -44,6 +44,8 @@ class Losses:
 
         newest: the hops before these (None where the bank begins) and the heads of these.
         """
+        if not len(self._lost) and self._columns.is_idle(hop):
+            return
         completed, heads = newest
         near = self._lost.between(
             (hop - 1) * self._plan.hop - self._reach, (hop + len(heads)) * self._plan.hop

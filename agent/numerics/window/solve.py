@@ -138,7 +138,8 @@ class WindowSolver:
     def solve(self, summary: Summary, starts: Starts) -> Solved:
         """Eliminate the initial states of N windows."""
         count, width, r = summary.moment.shape
-        shift = np.zeros((count, width, r))
+        moved = np.zeros((count, width, r + self.directions.shape[1]))
+        shift = moved[:, :, :r]
         components = row_products(summary.moment, self.directions)  # (N, 1+c, k)
         noisy = self.a > self.n
         if noisy:
@@ -151,7 +152,7 @@ class WindowSolver:
             residual = summary.moment[:, 0] + row_products(shift[:, 0], UU) - row_products(first, reach)
             x0 = x0 + row_products(residual, self._predictor_share)
         shift[:, 1:] += row_products(x0 - starts.mean, self._drift).reshape(count, width - 1, r)
-        moved = np.concatenate([shift, -0.5 * components], axis=2)
+        np.multiply(-0.5, components, out=moved[:, :, r:])
         # [e* ψ*]'(1 − projection)[e* ψ*] = gram + X + X', X one product
         beside = summary.moment + row_products(moved, self._beside)
         half = moved @ np.concatenate([beside, components], axis=2).transpose(0, 2, 1)

@@ -116,7 +116,7 @@ class Stream:
         index = self._done - self.plan.hop * np.arange(units - 1, -1, -1, dtype=np.int64) - 1
         before = self._head
         windows = self._windows(heads, rests)
-        fresh = int(np.sum(index > self._given))
+        fresh = int(np.count_nonzero(index > self._given))
         solving = self._solving(index[units - fresh :], windows)
         completed = _completed(before, heads, rests, self.operators)
         self._losses.eliminate(int(index[0]) // self.plan.hop, (completed, heads), solving, self._over)

@@ -25,13 +25,17 @@ class Tail(Generic[T]):
 
     def append(self, rows: NDArray[T]) -> None:
         """Add rows (N, ..) at the end."""
+        self.more(len(rows))[:] = rows
+
+    def more(self, count: int) -> NDArray[T]:
+        """Add rows at the end that are still to be filled; return them, as a view."""
         used = self.stop - self.first
-        if used + len(rows) > len(self._table):
-            larger = np.empty((2 * (used + len(rows)), *rows.shape[1:]), self._table.dtype)
+        if used + count > len(self._table):
+            larger = np.empty((2 * (used + count), *self._table.shape[1:]), self._table.dtype)
             larger[:used] = self.held()
             self._table = larger
-        self._table[used : used + len(rows)] = rows
-        self.stop += len(rows)
+        self.stop += count
+        return self._table[used : used + count]
 
     def held(self) -> NDArray[T]:
         """Return all rows, as a view."""
@@ -55,7 +59,9 @@ class Marks:
 
     def append(self, marks: BoolArray) -> None:
         """Take marks (N,) of further samples."""
-        self._before.append(self._before.held()[-1] + np.cumsum(marks))
+        before = self._before.held()[-1]
+        total = np.cumsum(marks, out=self._before.more(len(marks)))
+        total += before
 
     def count(self, index: IntArray, samples: int) -> IntArray:
         """Return how many of so many samples (N,) that end at samples `index` are marked."""

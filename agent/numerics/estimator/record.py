@@ -12,7 +12,7 @@ from agent.numerics.inference.spectral.columns import Window, window_of
 from agent.numerics.inference.tuning import MOST_REPEATS
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
-from agent.numerics.preprocessing.rows import rows_with
+from agent.numerics.preprocessing.rows import rows_that_change, rows_with
 from agent.numerics.window.lost import Lost
 from agent.numerics.window.tail import Marks, Tail
 from agent.types import BoolArray, FloatArray, IntArray
@@ -43,17 +43,18 @@ class Record:
 
     def append(self, y: FloatArray, u: FloatArray, lost: BoolArray | None) -> None:
         """Take samples that follow at once; lost (N, p+m)."""
+        if not len(y):
+            return
         start = self.stop
         v = self._samples.more(len(y))
-        v[:, : self.p], v[:, self.p :] = y, u
-        marks = self._losses.more(len(y))
-        marks[:] = False if lost is None else lost
-        self._holed.append(rows_with(marks))
-        if start == self.first and len(y):
+        for column, readings in enumerate((*y.T, *u.T)):
+            v[:, column] = readings
+        self._losses.more(len(y))[:] = False if lost is None else lost
+        self._holed.append(np.zeros(len(y), dtype=bool) if lost is None else rows_with(lost))
+        if start == self.first:
             self._changed.append(np.zeros(1, dtype=bool))  # there is none before the first
             start += 1
-        y = self.outputs(start - 1, self.stop)
-        self._changed.append(rows_with(y[1:] != y[:-1]))
+        self._changed.append(rows_that_change(self.outputs(start - 1, self.stop)))
 
     def outputs(self, start: int, stop: int) -> FloatArray:
         """Return y of samples [start, stop)."""

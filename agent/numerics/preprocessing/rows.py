@@ -21,6 +21,14 @@ def rows_with(marks: BoolArray) -> BoolArray:
     return found
 
 
+def rows_that_change(v: FloatArray) -> BoolArray:
+    """Return which rows (N-1,) of v (N, c), but for the first, differ from the one before them."""
+    found = np.zeros(len(v) - 1, dtype=bool)
+    for column in v.T:
+        found |= column[1:] != column[:-1]
+    return found
+
+
 def largest_in(v: FloatArray) -> FloatArray:
     """Return the largest value (c,) of each column of v (N, c), at least 0; 0 of no rows."""
     return np.array([column.max(initial=0.0) for column in v.T])

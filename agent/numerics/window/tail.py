@@ -60,8 +60,8 @@ class Marks:
     def append(self, marks: BoolArray) -> None:
         """Take marks (N,) of further samples."""
         before = self._before.held()[-1]
-        total = np.cumsum(marks, out=self._before.more(len(marks)))
-        total += before
+        total = self._before.more(len(marks))
+        total[:] = before + np.cumsum(marks) if marks.any() else before
 
     def count(self, index: IntArray, samples: int) -> IntArray:
         """Return how many of so many samples (N,) that end at samples `index` are marked."""

@@ -71,5 +71,5 @@ class Course:
         starts = np.empty((len(gained) + 1, len(self.start)))
         starts[0] = self.start
         for number, one in enumerate(gained):
-            starts[number + 1] = over_group @ starts[number] + one
+            starts[number + 1] = over_group.dot(starts[number]) + one
         return starts

@@ -211,7 +211,7 @@ class Explainer:
         """(N,) rows whose windows know no parameter nearly as well as the sharpest do."""
         point = self.bank.point
         assert point is not None  # noqa: S101 - rows are read at one
-        return np.asarray(np.all(reading.sd_repeat > POORER * point.unit * point.sharpest, axis=1))
+        return np.asarray((reading.sd_repeat > POORER * point.unit * point.sharpest).all(axis=1))
 
     def learn(self, record: Record, reading: Reading, i: int) -> bool:
         """Learn from a row's window; return whether the bank moved."""

@@ -142,6 +142,8 @@ class Outcome:
 
     def part(self, start: int, stop: int) -> "Outcome":
         """Return rows [start, stop)."""
+        if stop - start == len(self.index):
+            return self
         others = tuple(other.part(start, stop) for other in self.others)
         return replace(self, others=others, **{name: getattr(self, name)[start:stop] for name in COLUMNS})
 

@@ -238,7 +238,8 @@ class Solving:
     def windowed(self) -> Windowed:
         """Return the rows."""
         lost = np.zeros(len(self.index), dtype=np.int64)
-        lost[list(self.lost)] = list(self.lost.values())
+        for i, count in self.lost.items():
+            lost[i] = count
         jumps = None if self.scanning is None else self.scanning.jumps
         return Windowed(
             self.index,

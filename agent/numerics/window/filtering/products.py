@@ -20,11 +20,13 @@ def row_products(left: FloatArray, right: FloatArray) -> FloatArray:
     if whole == count:
         products = rows.dot(right)
     elif not whole:  # as nearly always while an agent runs
-        products = _filled_up(rows).dot(right)[:count]
+        filled = np.zeros((ROWS, rows.shape[1]))
+        filled[:count] = rows
+        products = filled.dot(right)[:count]
     else:
         products = np.empty((count, right.shape[1]))
         np.matmul(rows[:whole], right, out=products[:whole])
-        products[whole:] = _filled_up(rows[whole:]).dot(right)[: count - whole]
+        products[whole:] = row_products(rows[whole:], right)
     return products if rows is left else products.reshape(*left.shape[:-1], right.shape[1])
 
 
@@ -37,9 +39,3 @@ def stacked_products(left: FloatArray, right: FloatArray) -> FloatArray:
         filled[:, :count] = rows
         rows = filled
     return np.asarray((rows @ right)[:, :count].reshape(*left.shape[:-1], right.shape[2]))
-
-
-def _filled_up(rows: FloatArray) -> FloatArray:
-    filled = np.zeros((ROWS, rows.shape[1]))
-    filled[: len(rows)] = rows
-    return filled

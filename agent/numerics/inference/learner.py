@@ -474,13 +474,13 @@ class Learner:
 
     def _ratio(self, at: Linearised) -> FloatArray:
         """Jackknife ratio (q,) of this window."""
-        layout = at.regression.layout
-        kept = at.cells.kept
+        layout, kept = at.regression.layout, at.cells.kept
+        alone = slice(0, layout.xi.start)
         L = np.linalg.cholesky(at.Si[:kept])
         used = (at.cells.weight[:kept] > 0)[:, None, None]
-        whitened = used * (L.conj().transpose(0, 2, 1) @ at.regression.X)
-        blocks = block_grams(whitened, self.window, max(0.0, float(at.G[-1, -1]) - at.power))
-        return block_ratio(blocks, at.ridge.R, at.ridge.b, layout.psi)
+        blocks = block_grams(used * (L.conj().transpose(0, 2, 1) @ at.apart), self.window)
+        C = inverse(at.told[0] + at.ridge.R[layout.xi, layout.xi])
+        return block_ratio(blocks, at.ridge.R[alone, alone], C, layout.psi)
 
 
 def _of(window: Window, known: Knowledge) -> Knowledge:

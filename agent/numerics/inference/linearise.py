@@ -89,6 +89,16 @@ class Linearised:
         S, g = self.G[xi, xi] - rest.T @ Z, self.G[xi, -1] - rest.T @ alone
         return shown(S, g, np.diag(self.G)[xi])
 
+    @property
+    def apart(self) -> ComplexArray:
+        """Columns (kept, p, base + 1) without the constants, what they leave of these, all of the readings."""
+        X, fit, Z = self.regression.X, self.fitted[1], self._alone[2]
+        na, nb = self.regression.layout.xi.start, self.regression.layout.base
+        columns = X[..., :nb]
+        alone, constants = columns[..., :na], columns[..., na:]
+        left = X[..., -1] - columns @ fit
+        return np.concatenate([alone, constants - alone @ Z, left[..., None]], axis=2)
+
     @cached_property
     def power(self) -> float:
         """Power of the residual on the bins kept."""

@@ -6,7 +6,10 @@ d_j = M_−j⁻¹ g_−j − M⁻¹ g; under the model its covariance is
     E_j = (M_−j⁻¹ − M⁻¹) G_−j (M_−j⁻¹ − M⁻¹)ᵀ + M⁻¹ G_j M⁻¹
 
 so r = Σ diag d_j d_jᵀ / Σ diag E_j is 1 in expectation whatever leverage or prior a block has (Shao & Wu,
-Ann. Stat. 17 (1989) 1176, gives the plain form). r is pooled over disjoint windows; the scatter between
+Ann. Stat. 17 (1989) 1176, gives the plain form). In digits d_j is M_−j⁻¹ times the block's own score of what
+the window's estimate leaves of it. Constants stay where the window has them: they are nearly alike with the
+parameters, and beside what they leave open a block's move has no digits. What they take of its score, z_j C z_jᵀ
+with z_j = X_jᵀ (Ξ − X Z)_j, is no part of E_j. r is pooled over disjoint windows; the scatter between
 windows is judged by second differences, in which a slow change of the parameters cancels. Either is 1 by the
 model, or anything: a few windows say little of it, so its expectation weighs both (a spike at 1 and a scaled
 inverse χ² slab).
@@ -153,35 +156,34 @@ def widened(factor: FloatArray, repeats: FloatArray | float) -> FloatArray:
     return np.where(np.greater(repeats, 1.0), np.maximum(factor, repeats), factor)
 
 
-def block_ratio(blocks: FloatArray, R: FloatArray, b: FloatArray, psi: slice) -> FloatArray:
-    """Return r (q,) from block Grams (J, k+1, k+1) of [columns, residual] and columns' prior (k, k), (k,)."""
+def block_ratio(blocks: FloatArray, R: FloatArray, C: FloatArray, psi: slice) -> FloatArray:
+    """Return r (q,) of some columns, the constants as the whole window has them.
+
+    blocks: (J, k+c+1, k+c+1) Grams of [columns, what these leave of the constants', what all leave of the
+    readings];  R: (k, k) prior of the columns;  C: (c, c) covariance of the constants.
+    """
     k = len(R)
-    whole = blocks.sum(axis=0)
-    V = inverse(whole[:k, :k] + R)
-    fit = V @ (whole[:k, k] + b)
-    rest = whole - blocks
-    Vj = inverse(rest[:, :k, :k] + R)
-    V, Vj = V[psi], Vj[:, psi]
-    moved = (Vj @ (rest[:, :k, k] + b)[..., None])[..., 0] - fit[psi]
-    apart = Vj - V
-    expected = (apart @ rest[:, :k, :k]) * apart + (V @ blocks[:, :k, :k]) * V
-    return np.asarray((moved**2).sum(axis=0) / np.maximum(expected.sum(axis=(0, 2)), 1e-300))
+    own, across, score = blocks[:, :k, :k], blocks[:, :k, k:-1], blocks[:, :k, -1]
+    V = inverse(own.sum(axis=0) + R)[psi]
+    # added up, not taken away: of a first state the others' share is less than the digits of all
+    rest = np.tensordot(1.0 - np.eye(len(own)), own, axes=1)
+    without = inverse(rest + R)[:, psi]
+    moved = (without @ score[..., None])[..., 0]
+    apart, shared = without - V, without @ across
+    expected = ((apart @ rest) * apart + (V @ own) * V).sum(axis=(0, 2))
+    expected -= ((shared @ C) * shared).sum(axis=(0, 2))
+    return np.asarray((moved**2).sum(axis=0) / np.maximum(expected, 1e-300))
 
 
-def block_grams(whitened: ComplexArray, window: int, power_above: float) -> FloatArray:
+def block_grams(whitened: ComplexArray, window: int) -> FloatArray:
     """Return Grams (J, c, c) of consecutive blocks from whitened columns (kept, p, c) on the lowest bins.
 
     Back in time the columns of the lowest bins are sampled at 2·kept points or more; Parseval makes the
-    blocks' sum the window's Gram. power_above (residual on the high bins) is spread evenly.
+    blocks' sum the window's Gram.
     """
     kept = len(whitened)
     length = window if kept == window // 2 + 1 else 2 * kept
     samples = np.fft.irfft(whitened, length, axis=0) * np.sqrt(length)
     edges = np.linspace(0, length, tuning.JACKKNIFE_BLOCKS + 1).astype(int)
-    out = []
-    for start, stop in pairwise(edges.tolist()):
-        part = samples[start:stop].reshape(-1, whitened.shape[-1])
-        gram = part.T @ part
-        gram[-1, -1] += power_above / tuning.JACKKNIFE_BLOCKS
-        out.append(gram)
-    return np.array(out)
+    parts = [samples[a:b].reshape(-1, whitened.shape[-1]) for a, b in pairwise(edges.tolist())]
+    return np.array([part.T @ part for part in parts])

@@ -119,7 +119,7 @@ class Explainer:
         window = self.window(record, newest)[0]
         new = self.posterior is None and not self._adopted
         posterior, learnt = self._first(window)
-        if not posterior.converged:
+        if not posterior.converged or (record.rests_at(newest, window.length) and self._is_gone(posterior)):
             return False
         fresh = self.learner.prior(*self._sigma(window.y))
         if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior):
@@ -130,6 +130,14 @@ class Explainer:
         self.schedule.done(newest)
         self._move(record, posterior, newest)
         return True
+
+    def _is_gone(self, posterior: Posterior) -> bool:
+        """Whether a window knows a parameter to be less than half of what is configured.
+
+        So it says of the springs of a mass that friction holds for half of it.
+        """
+        half = 0.5 * self.settings.rig.nominal
+        return bool(np.any(posterior.theta + tuning.AGREE_SD * posterior.sd < half))
 
     def _first(self, window: Window) -> tuple[Posterior, Knowledge]:
         """Learn from a segment's first window; what was learnt before and does not explain it is learnt anew.

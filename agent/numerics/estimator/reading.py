@@ -130,7 +130,7 @@ def solved(
     difference of numbers that grow with the readings' precision.
     """
     q = len(along)
-    own, others = normal.both[:, :q], normal.both[:, q:]
+    own, others = normal.equations[:, :q], normal.equations[:, q:]
     given = inverse(own[:, :, 1 : 1 + q] + FLAT * np.eye(q))
     alone = given @ own  # of the parameters' g, of their H, and of theirs with the constants: side by side
     left = others - others[:, :, 1 : 1 + q] @ alone

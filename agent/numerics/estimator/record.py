@@ -14,7 +14,7 @@ from agent.numerics.model.uncertain import Rig
 from agent.numerics.preprocessing.bridge import Bridge, bridge_over
 from agent.numerics.preprocessing.rows import rows_that_change, rows_with
 from agent.numerics.window.lost import Lost
-from agent.numerics.window.tail import Marks, Tail
+from agent.numerics.window.tail import MarkCounts, Tail
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -26,7 +26,7 @@ class Record:
         self.doubts = doubts or Doubts()
         self._samples = Tail(first, np.zeros((0, outputs + inputs)))
         self._losses = Tail(first, np.zeros((0, outputs + inputs), dtype=bool))
-        self._holed, self._changed = Marks(first), Marks(first)  # samples, any reading or output
+        self._holed, self._changed = MarkCounts(first), MarkCounts(first)  # samples, any reading or output
 
     @property
     def stop(self) -> int:
@@ -90,6 +90,10 @@ class Record:
         half, eighth = window // 2, window // 8
         rests = np.array([self._changed.count(index - k * eighth, half) == 0 for k in range(5)])
         return np.asarray(rests.any(axis=0))
+
+    def rests_at(self, newest: int, window: int) -> bool:
+        """Tell the same of the window that ends with one sample."""
+        return bool(self.rests_in(np.array([newest]), window)[0])
 
     def repeats_in(self, index: IntArray, window: int) -> FloatArray:
         """Return factors (N,) on the variance, by repeated codes, of windows that end at samples `index`."""
@@ -165,7 +169,7 @@ class Record:
         """Take a reading for read: `change` more than it was filled with, wherever it enters."""
         lost = self._lost[sample - self.first]
         if lost[channel] and lost.sum() == 1:
-            self._holed.unmark(sample)
+            self._holed.clear(sample)
         lost[channel] = False
         for offset, column, weight in taps:
             if column < self._v.shape[1] and self.first <= sample + offset < self.stop:

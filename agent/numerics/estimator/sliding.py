@@ -132,7 +132,7 @@ class SlidingEstimator:
                 unexplained = Outcome.unexplained(passed, q, self.explainer.faults.reason or Reason.MISMATCH)
                 newest = np.minimum(passed, record.stop - 1)
                 unexplained.lack(self._hollow(record, newest))
-                unexplained.stand_still(self._still(record, newest))
+                unexplained.stand_still(self._still(record, newest) | record.rests_in(newest, plan.window))
                 pieces.append(unexplained)
         while (batch := self.explainer.bank.next(record, self.explainer.schedule.due)) is not None:
             pieces.append(self._settled(record, batch))

@@ -326,7 +326,7 @@ class Learner:
         return self._said(at, known.eta, self._temper(at, known))
 
     def _said(self, at: Linearised, eta: FloatArray, temper: float) -> Information:
-        (S, g), (_, V, Z) = at.told, at.given
+        (S, g), (_, V, Z) = at.information, at.given
         curved = np.vstack([Z, np.eye(len(eta))]) @ self.apart
         tells = np.concatenate([1.0 / np.diag(V), np.diag(S)])
         return Information(S / temper, g / temper, eta, at.cost / temper, curved, tells / temper)
@@ -479,7 +479,7 @@ class Learner:
         L = np.linalg.cholesky(at.Si[:kept])
         used = (at.cells.weight[:kept] > 0)[:, None, None]
         blocks = block_grams(used * (L.conj().transpose(0, 2, 1) @ at.apart), self.window)
-        C = inverse(at.told[0] + at.ridge.R[layout.xi, layout.xi])
+        C = inverse(at.information[0] + at.ridge.R[layout.xi, layout.xi])
         return block_ratio(blocks, at.ridge.R[alone, alone], C, layout.psi)
 
 

@@ -81,7 +81,7 @@ class Linearised:
         return alone[psi], V[psi, psi], Z[psi]
 
     @cached_property
-    def told(self) -> tuple[FloatArray, FloatArray]:
+    def information(self) -> tuple[FloatArray, FloatArray]:
         """Information and score of the constants, all else eliminated."""
         xi = self.regression.layout.xi
         alone, _, Z = self._alone
@@ -91,7 +91,7 @@ class Linearised:
 
     @property
     def apart(self) -> ComplexArray:
-        """Columns (kept, p, base + 1) without the constants, what they leave of these, all of the readings."""
+        """Columns (kept, p, base + 1) but the constants; what they leave of these, all of the readings."""
         X, fit, Z = self.regression.X, self.fitted[1], self._alone[2]
         na, nb = self.regression.layout.xi.start, self.regression.layout.base
         columns = X[..., :nb]

@@ -6,13 +6,14 @@ d_j = M_−j⁻¹ g_−j − M⁻¹ g; under the model its covariance is
     E_j = (M_−j⁻¹ − M⁻¹) G_−j (M_−j⁻¹ − M⁻¹)ᵀ + M⁻¹ G_j M⁻¹
 
 so r = Σ diag d_j d_jᵀ / Σ diag E_j is 1 in expectation whatever leverage or prior a block has (Shao & Wu,
-Ann. Stat. 17 (1989) 1176, gives the plain form). In digits d_j is M_−j⁻¹ times the block's own score of what
-the window's estimate leaves of it. Constants stay where the window has them: they are nearly alike with the
-parameters, and beside what they leave open a block's move has no digits. What they take of its score, z_j C z_jᵀ
-with z_j = X_jᵀ (Ξ − X Z)_j, is no part of E_j. r is pooled over disjoint windows; the scatter between
-windows is judged by second differences, in which a slow change of the parameters cancels. Either is 1 by the
-model, or anything: a few windows say little of it, so its expectation weighs both (a spike at 1 and a scaled
-inverse χ² slab).
+Ann. Stat. 17 (1989) 1176, gives the plain form). With all its digits d_j is M_−j⁻¹ times the score of block j
+on what the window's estimate leaves. Constants stay where the whole window has them: they are nearly alike
+with the parameters, and beside what they leave open the moves of blocks have no digits. What they take of a
+score, z_j C z_jᵀ with z_j = X_jᵀ (X_η − X Z)_j and C their covariance, is no part of E_j.
+
+r is pooled over disjoint windows; the scatter between windows is judged by second differences, in which a
+slow change of the parameters cancels. Either is 1 by the model, or anything: a few windows say little of it,
+so its expectation weighs both (a spike at 1 and a scaled inverse χ² slab).
 """
 
 from dataclasses import dataclass, replace

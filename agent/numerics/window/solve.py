@@ -65,13 +65,13 @@ class Normal:
     P⁻¹ m)).
 
     Attributes:
-        both: (N, c, 1+c) g and H side by side.
+        equations: (N, c, 1+c) g and H side by side.
         rss: (N,) squared residual at d = 0.
         log_det: log|covariance of the window's readings| + log|information on the initial state|.
         x0: (N, n) best (shifted) physical state at the window's first sample.
     """
 
-    both: FloatArray
+    equations: FloatArray
     rss: FloatArray
     log_det: float
     x0: FloatArray
@@ -79,12 +79,12 @@ class Normal:
     @property
     def H(self) -> FloatArray:  # noqa: N802 - as the books call it
         """(N, c, c), a view."""
-        return self.both[:, :, 1:]
+        return self.equations[:, :, 1:]
 
     @property
     def g(self) -> FloatArray:
         """(N, c), a view."""
-        return self.both[:, :, 0]
+        return self.equations[:, :, 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class Solved:
     def part(self, which: slice) -> "Solved":
         """Return some of the windows."""
         n = self.normal
-        return Solved(Normal(n.both[which], n.rss[which], n.log_det, n.x0[which]), self.moved[which])
+        return Solved(Normal(n.equations[which], n.rss[which], n.log_det, n.x0[which]), self.moved[which])
 
 
 class WindowSolver:

@@ -51,7 +51,7 @@ class Tail(Generic[T]):
         self.first = oldest
 
 
-class Marks:
+class MarkCounts:
     """Which samples from number `first` on are marked, as how many before each of them are."""
 
     def __init__(self, first: int) -> None:
@@ -69,7 +69,7 @@ class Marks:
         stop = index + 1 - self._before.first
         return np.asarray(before[stop] - before[np.maximum(stop - samples, 0)])
 
-    def unmark(self, sample: int) -> None:
+    def clear(self, sample: int) -> None:
         """Take the mark of a sample that has one away."""
         self._before.part(sample + 1, self._before.stop)[:] -= 1
 

@@ -208,7 +208,7 @@ class _Sum:
         for window in windows:
             at = learner.at_point(window, known)
             log_likelihood += _log_likelihood(learner, known, at)
-            (S, g), (alone, V, Z) = at.told, at.given
+            (S, g), (alone, V, Z) = at.information, at.given
             precision = inverse(V)
             J = np.hstack([np.eye(q), Z])
             H_w, h_w = J.T @ precision @ J, J.T @ (precision @ alone)

@@ -58,6 +58,28 @@ def test_scatter_ratio_keeps_one_beside_a_prior() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 
+def test_scatter_ratio_keeps_one_beside_constants_that_take_their_share_of_the_readings() -> None:
+    rng = np.random.default_rng(7)
+    sheets, columns = np.eye(4), slice(0, 3)
+    ratios = []
+    for _ in range(1500):
+        X, E = rng.standard_normal((8, 3, 3)), rng.standard_normal((8, 3, 4))
+        y = E @ rng.standard_normal(4) + rng.standard_normal((8, 3))
+        R = np.diag([0.0] * 3 + [1.0] * 4)
+        left = grams_of(np.concatenate([X, E], axis=2), y, R)[:, :, -1]  # scores of all columns
+        flat, other = X.reshape(-1, 3), E.reshape(-1, 4)
+        beyond = E - X @ np.linalg.solve(flat.T @ flat, flat.T @ other)
+        C = np.linalg.inv(np.einsum("jnc,jnd->cd", beyond, beyond) + sheets)
+        Z = np.concatenate([X, beyond], axis=2)
+        blocks = np.zeros((8, 8, 8))
+        blocks[:, :7, :7] = Z.transpose(0, 2, 1) @ Z
+        blocks[:, columns, -1] = left[:, columns]
+        ratios.append(block_ratio(blocks, np.zeros((3, 3)), C, columns))
+    sd = np.std(ratios, axis=0) / np.sqrt(len(ratios))
+    assert np.all(np.abs(np.mean(ratios, axis=0) - 1.0) < 4 * sd)
+    assert sd.max() < 0.04
+
+
 def test_scatter_common_to_a_block_is_seen() -> None:
     rng = np.random.default_rng(5)
     ratios = [block_ratio(blocks_of(rng, 1.0, 0.2), FREE, NO_CONSTANTS, slice(0, 3)) for _ in range(100)]

@@ -29,6 +29,7 @@ from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.tuning import (
     AGAIN,
     LASTS,
+    LEAST_LEFT,
     LEAST_WINDOWS,
     LONGEST,
     MOVED_LOG_SD,
@@ -132,12 +133,12 @@ class Explainer:
         return True
 
     def _is_gone(self, posterior: Posterior) -> bool:
-        """Whether a window knows a parameter to be less than half of what is configured.
+        """Whether a window knows a parameter to be a part of what is configured, or nothing.
 
         So it says of the springs of a mass that friction holds for half of it.
         """
-        half = 0.5 * self.settings.rig.nominal
-        return bool(np.any(posterior.theta + tuning.AGREE_SD * posterior.sd < half))
+        surely = posterior.theta + tuning.AGREE_SD * posterior.sd
+        return bool(np.any(surely < LEAST_LEFT * self.settings.rig.nominal))
 
     def _first(self, window: Window) -> tuple[Posterior, Knowledge]:
         """Learn from a segment's first window; what was learnt before and does not explain it is learnt anew.

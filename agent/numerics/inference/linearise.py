@@ -100,15 +100,11 @@ class Linearised:
         return np.concatenate([alone, constants - alone @ Z, left[..., None]], axis=2)
 
     @cached_property
-    def power(self) -> float:
-        """Power of the residual on the bins kept."""
-        return float(self.cells.gram(self.Si, self.regression.X[..., -1:])[0, 0])
-
-    @property
     def cost(self) -> float:
         """Twice the negative log likelihood of the bins kept, all but the constants eliminated."""
         na = self.regression.layout.xi.start
-        return self.power - float((self.G[:na, -1] + self.ridge.b[:na]) @ self._alone[0])
+        power = float(self.cells.gram(self.Si, self.regression.X[..., -1:])[0, 0])
+        return power - float((self.G[:na, -1] + self.ridge.b[:na]) @ self._alone[0])
 
 
 class Lineariser:

@@ -13,9 +13,7 @@ CONFIRMED_SD = 4.0  # sds within which the motion must find a suspect reading to
 CONFIRMED_SPREAD = 0.06  # sd of its share besides: a half sine of four samples is 5 % from straight lines
 # explainer.py
 VERDICT_WINDOWS = 3  # learnt from before verdicts, first or anew: they tell of noise and constants at once
-LEAST_LEFT = (
-    0.5  # share of what is configured below which no first window that rests for half of it is believed
-)
+LEAST_LEFT = 0.5  # share of what is configured that a first window must leave, where it rests for half of it
 REFILLS = 2  # times that suspect inputs are put where the motion asks for them before a window is solved
 MOVING = 8  # what moving the bank costs, in evaluations
 MOVED_SD = 0.3  # sds between learner and bank from which it moves: twice what omitted bins may make

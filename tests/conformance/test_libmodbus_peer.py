@@ -2,7 +2,6 @@
 socat."""
 
 import re
-import socket
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from drivers.modbus.driver import ModbusDriver
 from drivers.modbus.settings import ModbusSettings
 from drivers.port import DriverIOError, SourceRequest
 from tests import peers
+from tests.ports import free_port
 
 SOURCE = Path(__file__).with_name("libmodbus_server.c")
 RING = {
@@ -63,11 +63,6 @@ def read_hundred(driver: ModbusDriver) -> None:
 def driver_of(**keys: object) -> ModbusDriver:
     settings = ModbusSettings.model_validate({**RING, "ring": {"address": 16, "slots": 500}, **keys})
     return ModbusDriver(SourceRequest("peer", settings, ("a", "b")))
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        return int(taken.getsockname()[1])
 
 
 def test_ring_in_a_libmodbus_server_over_tcp_is_read(server: Path) -> None:

@@ -16,8 +16,9 @@ import pytest
 
 from agent.runtime.replay import replay
 from agent.storage.database.schema import SCHEMA_VERSION, version_mark
+from tests.ports import free_port
 from tests.scenario.live import LIMIT_S, agent, counts, example, hops, rows, wait_until
-from tests.sim.rigs import free_port, simulator
+from tests.sim.rigs import simulator
 from tests.unit.cli.test_app import Run, deltak
 
 __all__ = ["deltak"]

@@ -20,7 +20,8 @@ from drivers.port import SourceRequest
 from tests import figures
 from tests.conformance.modbus_device import PtyDevice, Registers, crc16
 from tests.links import NotedLink
-from tests.sim.rigs import MODEL, free_port, simulator
+from tests.ports import free_port
+from tests.sim.rigs import MODEL, simulator
 from tests.unit.drivers.modbus.test_line import numbers, rtu, tcp
 from tests.unit.drivers.played_line import PlayedLine
 

@@ -17,13 +17,9 @@ from typing import Any
 from agent.northbound.forwarder import Forwarder
 from agent.storage.write.writer import StoreWriter
 from tests.peers import program
+from tests.ports import free_port
 from tests.scenario.live import wait_until
 from tests.storage.rows import batch
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 class Line:

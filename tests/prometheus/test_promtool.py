@@ -10,9 +10,10 @@ from prometheus_client.registry import CollectorRegistry
 
 from agent.runtime.telemetry.metrics import FIGURES, AgentCollector
 from tests import figures, peers
+from tests.ports import free_port
 from tests.scenario.live import agent, example, rows, wait_until
 from tests.scenario.test_conservation import scenario
-from tests.sim.rigs import free_port, simulator
+from tests.sim.rigs import simulator
 from tests.unit.runtime.test_metrics import status, values
 
 RULES = peers.ROOT / "deploy/prometheus/deltak.rules.yml"

@@ -13,7 +13,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from tests.sim.rigs import ROOT, free_port
+from tests.ports import free_port
+from tests.sim.rigs import ROOT
 
 LIMIT_S = 40.0
 EXAMPLES = ROOT / "deploy" / "examples"

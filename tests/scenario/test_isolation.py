@@ -16,7 +16,8 @@ from agent.runtime.service import Service
 from agent.runtime.tuning import PAUSE_NS
 from agent.types import AlarmTransition, EstimateBatch, Reason, SensorEvent, SensorFault, Status
 from drivers.port import FloatArray, SampleBlock
-from tests.scenario.live import example, free_port, rows
+from tests.ports import free_port
+from tests.scenario.live import example, rows
 from tests.scenario.test_service import renamed
 from tests.unit.numerics.rigs import noisy
 

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from agent.cli.app import app
 from agent.cli.gateway.status import status
 from tests.northbound.test_lying_broker import CONNECT, broker, truth
+from tests.ports import free_port
 from tests.scenario.live import agent, example, rows, wait_until
-from tests.sim.rigs import free_port
 
 pytestmark = pytest.mark.realtime
 KINDS = ("broker", "node", "server", "hook", "address", "mail")

@@ -13,9 +13,10 @@ from agent.errors import StoreError
 from agent.runtime.replay import replay
 from agent.types import FloatArray
 from tests.figures import figure
+from tests.ports import free_port
 from tests.scenario.live import agent, hops, rows, wait_until
 from tests.scenario.two_sources import EXAMPLES
-from tests.sim.rigs import free_port, simulator
+from tests.sim.rigs import simulator
 
 DELAY_S = 0.0037
 SECONDS = 5

@@ -17,8 +17,9 @@ import pytest
 from agent.cli.gateway import diag
 from agent.cli.gateway.status import reload, status
 from agent.errors import ConfigError, StoreError
+from tests.ports import free_port
 from tests.scenario.live import Agent, agent, example, hops, rows, wait_until
-from tests.sim.rigs import free_port, simulator
+from tests.sim.rigs import simulator
 
 pytestmark = pytest.mark.realtime
 SECRET = "hunter2-of-the-press"

@@ -18,7 +18,8 @@ from agent.runtime.sources import Connection
 from agent.runtime.tuning import FINISH_S, PART
 from drivers.port import SampleBlock
 from drivers.reconnect import LinkEvent
-from tests.scenario.live import example, free_port
+from tests.ports import free_port
+from tests.scenario.live import example
 from tests.scenario.test_service import renamed
 from tests.unit.numerics.rigs import noisy
 

@@ -10,8 +10,9 @@ import pytest
 
 from agent.config import load
 from agent.runtime.service import Service
+from tests.ports import free_port
 from tests.scenario.live import Agent, agent, example, hops, rows, wait_until
-from tests.sim.rigs import Simulator, free_port, simulator
+from tests.sim.rigs import Simulator, simulator
 
 pytestmark = pytest.mark.realtime
 

@@ -12,9 +12,9 @@ from agent.runtime.service import Service
 from agent.runtime.sources import connect
 from agent.storage.write.store import Store
 from drivers.port import SampleBlock
+from tests.ports import free_port
 from tests.scenario.live import example
 from tests.scenario.test_service import renamed
-from tests.sim.rigs import free_port
 
 
 def test_agent_whose_writer_fails_ends_and_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

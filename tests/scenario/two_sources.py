@@ -18,7 +18,8 @@ from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import Scenario
 from sim_bus.rig.sensors import Sensor
 from sim_bus.rig.trajectory import Rig
-from tests.sim.rigs import ROOT, free_port
+from tests.ports import free_port
+from tests.sim.rigs import ROOT
 
 EXAMPLES = ROOT / "deploy" / "examples"
 STEPS = {"force": 1e-3, "x1": 2e-6, "x2": 2e-6}

@@ -92,13 +92,6 @@ def rig(text: str) -> RigFile:
     return checked(RigFile, tomllib.loads(text), "test")
 
 
-def free_port() -> int:
-    """Return a TCP port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 class Simulator:
     """`sim` in a process of its own."""
 

@@ -20,7 +20,8 @@ from sim_bus.player import Player
 from sim_bus.rig.fault_names import names
 from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario
-from tests.sim.rigs import LIMIT_S, MODEL, RawModbus, free_port, refused, ring_config, simulator, until
+from tests.ports import free_port
+from tests.sim.rigs import LIMIT_S, MODEL, RawModbus, refused, ring_config, simulator, until
 from tests.sim.test_serial_device import BINARY, opened, read
 from tests.sim.test_socketcand_device import daemon, played
 

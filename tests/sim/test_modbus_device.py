@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from tests import peers
+from tests.ports import free_port
 from tests.sim.rigs import (
     LIMIT_S,
     MODEL,
     RawModbus,
     Simulator,
-    free_port,
     int16,
     refused,
     ring_config,

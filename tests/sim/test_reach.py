@@ -6,7 +6,8 @@ import pytest
 
 from sim_bus.reach import carried_by, fitting
 from sim_bus.rig.rigfile import read_rig
-from tests.sim.rigs import MODEL, ROOT, free_port, refused, ring_config
+from tests.ports import free_port
+from tests.sim.rigs import MODEL, ROOT, refused, ring_config
 
 
 def test_sim_scenario_beyond_the_fields_is_refused_with_the_figures(tmp_path: Path) -> None:

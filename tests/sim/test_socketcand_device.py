@@ -17,7 +17,8 @@ import pytest
 from sim_bus.player import Player
 from sim_bus.rig.rigfile import read_rig
 from sim_bus.rig.scenario import load_scenario
-from tests.sim.rigs import LIMIT_S, MODEL, Simulator, free_port, refused, simulator
+from tests.ports import free_port
+from tests.sim.rigs import LIMIT_S, MODEL, Simulator, refused, simulator
 from tests.unit.sim_bus.devices.test_can_packing import DBC
 
 CLASSIC = """

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.numerics.estimator.tuning import IN_TIME, LINE_LEVEL, MOST_LINES, PRESENT_NODES
+from agent.numerics.inference.constants import farthest
 from agent.numerics.inference.mixture import NORMAL_975, interval95
 from agent.numerics.inference.noise.lines import between
 from agent.numerics.inference.noise.rounding import Rounding
@@ -103,7 +104,7 @@ def operating_point(
     assert known.footing is not None  # noqa: S101 - since the first window
     # what constants do in the windows that the point rests on, since in one alone it may be anything
     sensitivity = known.footing.sensitivity
-    shape = _shape(known, sensitivity, sharpest, unit_of(rig, known.theta))
+    shape = _shape(rig, known, sensitivity, sharpest)
     # rows are of windows to come: constants walk until then, and each row's own readings tell of them
     known = replace(known, constants=known.constants.predicted())
     eta = known.constants.standing[0]
@@ -212,11 +213,8 @@ def _directions(rig: Rig, known: Knowledge, scales: FloatArray) -> tuple[FloatAr
     return directions, np.linalg.inv(turn[:count])
 
 
-def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray, unit: FloatArray) -> Shape:
-    """Return the shape of the mixture where constants move parameters of sd `own` (q,) by `sensitivity`.
-
-    unit: (q,) size of a deviation of 1.
-    """
+def _shape(rig: Rig, known: Knowledge, sensitivity: FloatArray, own: FloatArray) -> Shape:
+    """Return the shape of the mixture where constants move parameters of sd `own` (q,) by `sensitivity`."""
     constants = known.constants
     mean, P = constants.standing
     by_constants = np.sqrt(((sensitivity @ _root(P)) ** 2).sum(axis=1))
@@ -225,7 +223,9 @@ def _shape(known: Knowledge, sensitivity: FloatArray, own: FloatArray, unit: Flo
     *each, linear = shifted(known.theta, moved @ sensitivity.T)
     means = np.array(each)
     variance = ((sensitivity @ constants.covariance) * sensitivity).sum(axis=2)
-    variance = np.maximum(variance, 0.0) + neglected(means - linear, unit) ** 2
+    scales = farthest(rig.constants, constants.mean - mean)
+    bent = neglected(means - linear, unit_of(rig, known.theta), scales)
+    variance = np.maximum(variance, 0.0) + bent**2
     lower, upper = interval95(constants.weight, means, np.sqrt(own**2 + variance))
     apart = 0.5 * np.ptp(means[constants.stands], axis=0)
     half = np.maximum(0.5 * (upper - lower) - apart, 0.0) / NORMAL_975

@@ -212,6 +212,12 @@ def apart_of(constants: tuple[Constant, ...]) -> FloatArray:
     return np.asarray(np.eye(len(constants)) - alike / np.maximum(alike.sum(axis=1), 1)[:, None])
 
 
+def farthest(constants: tuple[Constant, ...], moved: FloatArray) -> FloatArray:
+    """Return the largest share (h,) by which masses and gains moved (h, c), beyond what all of their kind did."""
+    scales = np.array([c.kind != "delay" for c in constants], dtype=bool)
+    return np.asarray(np.abs((moved @ apart_of(constants))[:, scales]).max(axis=1, initial=0.0))
+
+
 def _sets(constants: tuple[Constant, ...]) -> list[tuple[Off, Kind]]:
     """Each constant that may be off by itself, with its kind, then groups that may together."""
     can = np.array([c.sheet > 0 and c.shows for c in constants], dtype=bool)

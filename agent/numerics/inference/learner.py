@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.constants import Constants, apart_of, hypotheses_of
+from agent.numerics.inference.constants import Constants, apart_of, farthest, hypotheses_of
 from agent.numerics.inference.friction import columns, frictions
 from agent.numerics.inference.information import Information, Update
 from agent.numerics.inference.linearise import Linearised, Lineariser
@@ -359,10 +359,11 @@ class Learner:
         u = at.unit
         own = np.diag(V)
         here = at.theta + u * alone
-        means = shifted(here, u * ((after.mean - known.eta) @ -Z.T))
+        moved = after.mean - known.eta
+        means = shifted(here, u * (moved @ -Z.T))
         # a square: what is below 0 is rounding
         unsure = np.maximum(((Z @ after.covariance) * Z).sum(axis=2), 0.0)
-        variance = u**2 * (own + unsure) + neglected(means - here, u) ** 2
+        variance = u**2 * (own + unsure) + neglected(means - here, u, farthest(self.rig.constants, moved)) ** 2
         mean = after.weight @ means
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)

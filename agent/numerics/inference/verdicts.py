@@ -102,8 +102,8 @@ def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
 def _shared(found: list[Belief]) -> list[Belief]:
     """Let explanations of a scale that the data hardly tell apart share their probability.
 
-    Evidence of less than 3 to 1 is not worth more than a bare mention (Kass & Raftery, J. Am. Stat. Assoc. 90
-    (1995) 773): taken at its word it would name a sound part in one of three such cases.
+    Evidence of 3 to 1 is not worth more than a bare mention (Kass & Raftery, J. Am. Stat. Assoc. 90 (1995)
+    773): taken at its word it would name a sound part in one of four such cases.
     """
     scales = [b for b in found if b.kind != "delay"]
     best = max((b.probability for b in scales), default=0.0)

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from agent.numerics.estimator.tuning import LINE_LEVEL
 from agent.numerics.inference.constants import Constants, Hypothesis
 from agent.numerics.inference.noise.rounding import Rounding
-from agent.numerics.inference.noise.state import Noise
+from agent.numerics.inference.noise.state import Noise, Places
 from agent.numerics.inference.posterior import Footing, Knowledge
 from agent.numerics.inference.scatter import Scatter
 from agent.types import FloatArray
@@ -35,7 +36,8 @@ def to_text(known: Knowledge) -> str:
             "spread": _packed(noise.spread), "windows": noise.windows, "turn": noise.turn,
             "walk": noise.walk, "counted": noise.counted,
         } | ({} if noise.information is None else {"information": _packed(noise.information)})
-          | ({} if noise.rounding is None else {"rounding": _rounding(noise.rounding)}),
+          | ({} if noise.rounding is None else {"rounding": _rounding(noise.rounding)})
+          | ({} if noise.places is None else {"places": _places(noise.places, noise.levels)}),
         "constants": {
             "names": [h.name for h in constants.hypotheses], "weight": _packed(constants.weight),
             "mean": _packed(constants.mean), "covariance": _packed(constants.covariance),
@@ -65,7 +67,7 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
         n["windows"], n["turn"], n["walk"], n["counted"],
         # earlier programs did not keep it
         None if n.get("information") is None else _array(n["information"]),
-        _rounding_of(n.get("rounding")),
+        _rounding_of(n.get("rounding")), _places_of(n.get("places"), fresh.power),
     )  # fmt: skip
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
         return None
@@ -103,6 +105,23 @@ def _rounding_of(kept: dict[str, Any] | None) -> Rounding | None:
         return None
     each = (_array(kept[part]) for part in ("usual", "of_power", "of_score"))
     return Rounding(np.array(kept["digits"], dtype=np.int64), *each)
+
+
+def _places(places: Places, levels: FloatArray) -> dict[str, object]:
+    """Bins in which a line is, of any channel."""
+    at = np.flatnonzero((levels > LINE_LEVEL).any(axis=1))
+    return {"bins": at.tolist(), "along": _packed(places.along[at]), "squares": _packed(places.squares[at])}
+
+
+def _places_of(kept: dict[str, Any] | None, fresh: FloatArray) -> Places | None:
+    if kept is None:  # earlier programs did not keep them
+        return None
+    out = Places(np.zeros_like(fresh), np.zeros_like(fresh))
+    at = np.array(kept["bins"], dtype=np.int64)
+    for whole, part in ((out.along, kept["along"]), (out.squares, kept["squares"])):
+        inside = at < len(whole)
+        whole[at[inside]] = _array(part).reshape(len(at), whole.shape[1])[inside]
+    return out
 
 
 def _packed(values: FloatArray) -> dict[str, object]:

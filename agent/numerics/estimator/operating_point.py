@@ -13,8 +13,8 @@ import numpy as np
 from agent.numerics.estimator.tuning import IN_TIME, LINE_LEVEL, MOST_LINES, PRESENT_NODES
 from agent.numerics.inference.constants import farthest
 from agent.numerics.inference.mixture import NORMAL_975, interval95
-from agent.numerics.inference.noise.lines import between
 from agent.numerics.inference.noise.rounding import Rounding
+from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Knowledge, Posterior, neglected, shifted
 from agent.numerics.inference.spectral.sources import Source
 from agent.numerics.inference.tuning import ACTIVE_NODES, SURE
@@ -255,7 +255,7 @@ def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int, force
     sigma = noise.sd * np.sqrt(usual)
     white = np.zeros(forces)
     if not noise.is_started:
-        return NoiseModel(sigma, white, (), _lines(noise.levels, window))
+        return NoiseModel(sigma, white, (), _lines(noise, window))
     nodes = noise.nodes[:, 0]
     shown = noise.intensity / nodes  # beside the sensors' noise, where each source is strongest
     doubtful = (shown < ACTIVE_NODES) & (noise.log_weight[:, 0] > -SURE)
@@ -268,22 +268,18 @@ def bank_noise(known: Knowledge, sources: tuple[Source, ...], window: int, force
             white[source.number] = np.hypot(white[source.number], shown[a] * first_white[source.number])
         else:
             coloured.append(Coloured(source.kind, source.number, source.pole, float(noise.intensity[a])))
-    return NoiseModel(sigma, white, tuple(coloured), _lines(noise.levels, window))
+    return NoiseModel(sigma, white, tuple(coloured), _lines(noise, window))
 
 
 def _is_white_force(source: Source) -> bool:
     return source.kind == "force" and source.pole == 0
 
 
-def _lines(levels: FloatArray, window: int) -> tuple[Line, ...]:
-    """The strongest lines in bins' levels (K, p): each between its bin and the stronger one beside it."""
+def _lines(noise: Noise, window: int) -> tuple[Line, ...]:
+    """The strongest lines in the levels of bins."""
+    levels = noise.levels
     inner, below, above = levels[1:-1], levels[:-2], levels[2:]
     peaks = np.argwhere((inner > LINE_LEVEL) & (inner >= below) & (inner > above))
     strongest = sorted(peaks.tolist(), key=lambda place: -inner[place[0], place[1]])[:MOST_LINES]
-    found = []
-    for k, c in strongest:
-        # amplitudes that a sinusoid between two bins has in them
-        here, left, right = np.sqrt([inner[k, c], below[k, c], above[k, c]])
-        off = between(here, left, right) if max(left, right) ** 2 > LINE_LEVEL else 0.0
-        found.append(Line(c, 2 * np.pi * (k + 1 + off) / window))
-    return tuple(found)
+    off = noise.lines_off
+    return tuple(Line(c, 2 * np.pi * (k + 1 + off[k + 1, c]) / window) for k, c in strongest)

@@ -213,7 +213,7 @@ def apart_of(constants: tuple[Constant, ...]) -> FloatArray:
 
 
 def farthest(constants: tuple[Constant, ...], moved: FloatArray) -> FloatArray:
-    """Return the largest share (h,) by which masses and gains moved (h, c), beyond what all of their kind did."""
+    """Largest share (h,) by which masses and gains moved (h, c), beyond what all of their kind did."""
     scales = np.array([c.kind != "delay" for c in constants], dtype=bool)
     return np.asarray(np.abs((moved @ apart_of(constants))[:, scales]).max(axis=1, initial=0.0))
 

@@ -363,7 +363,8 @@ class Learner:
         means = shifted(here, u * (moved @ -Z.T))
         # a square: what is below 0 is rounding
         unsure = np.maximum(((Z @ after.covariance) * Z).sum(axis=2), 0.0)
-        variance = u**2 * (own + unsure) + neglected(means - here, u, farthest(self.rig.constants, moved)) ** 2
+        bent = neglected(means - here, u, farthest(self.rig.constants, moved))
+        variance = u**2 * (own + unsure) + bent**2
         mean = after.weight @ means
         # not knowing the intensities, and scatter beyond the model's, widen what the data say
         wider = np.maximum(1 + np.maximum(known.noise.spread, -0.3).sum(axis=0), 0.5)

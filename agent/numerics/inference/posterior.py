@@ -142,8 +142,8 @@ def neglected(apart: FloatArray, unit: FloatArray, scales: FloatArray) -> FloatA
     """Return the term of second order (h, q) of parameters so far (h, q) from where the model is straight.
 
     unit: (q,) size of a deviation of 1;  scales: (h,) share by which masses and gains are elsewhere. What the
-    model's curvature does there is of the size of half the square of a share, or of half its product with that
-    of what moved it: an explanation that is far away is not as sure as its own data make it.
+    model's curvature does there is of the size of half the square of a share, or of half its product with
+    that of what moved it: an explanation that is far away is not as sure as its own data make it.
     """
     return np.asarray(0.5 * np.abs(apart) * np.maximum(np.abs(apart) / unit, scales[:, None]))
 

@@ -58,8 +58,8 @@ Needed by: one mass +8 %."""
 WORTH_NAMING = 0.1
 """Share of its data sheet by which a gain that drifts must be off to be named. Needed by: rig 30138."""
 BARE_MENTION = 4.0
-"""Ratio of probabilities below which explanations share them: of 500 random rigs, two stood at 3.0 and 3.5 for a
-sound part. Needed by: one output of a single sensor, rig 950140."""
+"""Ratio of probabilities below which explanations share them: of 500 random rigs two stood at 3.0 and 3.5 for
+a sound part. Needed by: one output of a single sensor, rig 950140."""
 PRIOR_HEALTHY = 0.7
 """Prior probability that every constant is within its data sheet."""
 

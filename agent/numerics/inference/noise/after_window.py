@@ -120,6 +120,7 @@ def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
     return Noise(
         fit.log_sigma, fit.log_sigma_var, power, dof, noise.nodes, log_weight, fit.intensity, spread,
         noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted, information, noise.rounding,
+        noise.places,
     )  # fmt: skip
 
 

@@ -25,8 +25,10 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
     bins = cells.response.bins
     bin_of = np.concatenate([np.arange(bins.kept), bins.high])
     cell_of = np.concatenate([np.arange(bins.kept), bins.kept + bins.group_of]).astype(np.int64)
-    residual = np.vstack([np.abs(regression.X[..., -1]) ** 2, np.abs(regression.high) ** 2])
-    power = residual / noise.white
+    residual = np.vstack([regression.X[..., -1], regression.high])
+    noise = noise.placed(residual, bin_of)
+    power = np.abs(residual) ** 2 / noise.white
+    off = noise.lines_off[bin_of]
     level = noise.levels[bin_of]
     columns = slice(regression.layout.psi.start, regression.layout.base)  # parameters and constants
     for channel in range(power.shape[1]):
@@ -37,7 +39,7 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
                 np.abs(regression.X[np.minimum(cell_of, bins.kept - 1), channel, columns]) ** 2,
             ])  # fmt: skip
             _raise(level[:, channel], own, bin_of, shapes[:, (shapes > 0).all(axis=0)])
-        leakage = _leakage(level[:, channel], own, bin_of, noise.shows_colours)
+        leakage = _leakage(level[:, channel], own, bin_of, off[:, channel], noise.shows_colours)
         level[:, channel] = np.maximum(level[:, channel], leakage)
     raised = noise.power.copy()
     raised[bin_of] = noise.dof[bin_of] * level
@@ -91,33 +93,24 @@ def _medians(values: FloatArray, places: IntArray) -> FloatArray:
     return out
 
 
-def between(here: float, left: float, right: float) -> float:
-    """Return a line's place between its bin and its stronger neighbour, from their amplitudes (-½ .. ½)."""
-    beside = max(left, right)
-    off = beside / max(here + beside, 1e-300)  # a window may show nothing where there was a line
-    return off if right > left else -off
-
-
-def _leakage(level: FloatArray, power: FloatArray, bin_of: IntArray, alone: bool) -> FloatArray:
+def _leakage(
+    level: FloatArray, power: FloatArray, bin_of: IntArray, off: FloatArray, alone: bool
+) -> FloatArray:
     """Return lines' leakage into bins about them (b,), in σ²: A² sin²(π δ) / (π (k − f))², 0 elsewhere.
 
-    alone: of the lines alone. In windows too short to show colours what a model lacks is no force's either,
-    and leaks with them.
+    off (b,): δ, places of lines from the middles of their bins. alone: of the lines alone. In windows too
+    short to show colours what a model lacks is no force's either, and leaks with them.
     """
     out = np.zeros(len(level))
     inner = level[1:-1]
     for k in 1 + np.flatnonzero((inner > tuning.LINE_POWER) & (inner >= level[:-2]) & (inner > level[2:])):
         if bin_of[k + 1] - bin_of[k - 1] > 2:
             continue  # only an even spread of the high bins is at hand there
-        own = power[k - 1 : k + 2]
-        size = own[1]
+        size = power[k]
         if alone:  # what forces leave in the bins about it is no part of the line
             others = power[max(0, k - tuning.LINE_NEIGHBOURS) : k + tuning.LINE_NEIGHBOURS + 1]
-            own = np.maximum(own - np.median(others) / MEDIAN, 0.0)
-            size = min(own[1], level[k])
-        left, here, right = np.sqrt(own)
-        off = between(here, left, right)
-        apart = np.where(np.abs(bin_of - bin_of[k]) > 1, bin_of - bin_of[k] - off, np.inf)
-        share = np.sin(np.pi * off) / max(abs(np.sinc(off)), 1e-6)
+            size = min(max(size - np.median(others) / MEDIAN, 0.0), level[k])
+        apart = np.where(bin_of != bin_of[k], bin_of - bin_of[k] - off[k], np.inf)
+        share = np.sin(np.pi * off[k]) / np.sinc(off[k])
         out = np.maximum(out, 1 + size * (share / (np.pi * apart)) ** 2)
     return np.where(out > 1.2, out, 0.0)

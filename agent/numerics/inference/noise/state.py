@@ -8,7 +8,38 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.rounding import Rounding, rounding_after
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.sources import Source
-from agent.types import BoolArray, FloatArray, IntArray
+from agent.types import BoolArray, ComplexArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where lines stand between bins, each by least squares over windows.
+
+    About a line at f the spectrum R runs as 1 / (f − k), so f − k = n / d with n = R(k−1) − R(k+1) and
+    d = 2 R(k) − R(k−1) − R(k+1) (Jacobsen & Kootsookos, IEEE Signal Processing Magazine 24 (3) (2007) 123).
+
+    Attributes:
+        along, squares: (K, p) sums of Re n d* and of |d|², old windows forgotten.
+    """
+
+    along: FloatArray
+    squares: FloatArray
+
+    def after(self, residual: ComplexArray, bin_of: IntArray) -> "Places":
+        """Return the places after one more window's residual (b, p) on bins (b,)."""
+        n = residual[:-2] - residual[2:]
+        d = 2 * residual[1:-1] - residual[:-2] - residual[2:]
+        # of high bins only an even spread may be at hand
+        next_to = np.flatnonzero(bin_of[2:] - bin_of[:-2] == 2)
+        along, squares = tuning.FORGET * self.along, tuning.FORGET * self.squares
+        along[bin_of[1 + next_to]] += (n * d.conj()).real[next_to]
+        squares[bin_of[1 + next_to]] += (np.abs(d) ** 2)[next_to]
+        return Places(along, squares)
+
+    @property
+    def off(self) -> FloatArray:
+        """(K, p) place of a line from the middle of its bin (-½ .. ½); 0 where no window was seen."""
+        return np.clip(self.along / np.where(self.squares > 0, self.squares, 1.0), -0.5, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +59,7 @@ class Noise:
         information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten;
             0 for the others; None where there are none.
         rounding: what it adds to σ²; None where it is the same for all readings: σ then has it in.
+        places: where lines are; None before the first window.
     """
 
     log_sigma: FloatArray
@@ -44,6 +76,7 @@ class Noise:
     counted: float = tuning.SIGMA_WALK_DOF
     information: FloatArray | None = None
     rounding: Rounding | None = None
+    places: Places | None = None
 
     @classmethod
     def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
@@ -66,6 +99,16 @@ class Noise:
     def levels(self) -> FloatArray:
         """(K, p) level of each bin."""
         return self.power / self.dof
+
+    def placed(self, residual: ComplexArray, bin_of: IntArray) -> "Noise":
+        """Return the noise with lines' places by one more window's residual (b, p) on bins (b,)."""
+        places = self.places or Places(np.zeros_like(self.power), np.zeros_like(self.power))
+        return replace(self, places=places.after(residual, bin_of))
+
+    @property
+    def lines_off(self) -> FloatArray:
+        """(K, p) places of lines from the middles of their bins (-½ .. ½)."""
+        return np.zeros_like(self.power) if self.places is None else self.places.off
 
     @property
     def unsure(self) -> float:

@@ -113,6 +113,24 @@ def test_memory_round_trip_gives_the_same_answers() -> None:
     assert to_text(again) == to_text(from_text(to_text(again), learner.hypotheses, fresh))  # type: ignore[arg-type]
 
 
+def test_memory_keeps_where_lines_stand() -> None:
+    rig, rng = ChainRig(), np.random.default_rng(2)
+    noise = DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
+    learner = learner_of(rig)
+    known = learner.prior(noise.sigma, np.full(2, 0.3))
+    fresh = known.noise
+    for k in range(5):
+        window = record(rig, rng, noise)[0]
+        hum = 3e-3 * np.sin(2 * np.pi * 40.3 * np.arange(window.length) / window.length + k)
+        known = learner.learn(replace(window, y=window.y + hum[:, None]), known)[1]
+    again = from_text(to_text(known), learner.hypotheses, fresh)
+    assert again is not None
+    at = np.argmax(known.noise.levels[:, 0])
+    assert at + again.noise.lines_off[at] == pytest.approx(40.3, abs=0.01)
+    assert again.noise.lines_off[at] == pytest.approx(known.noise.lines_off[at], abs=0)
+    assert np.count_nonzero(again.noise.lines_off) < np.count_nonzero(known.noise.lines_off)
+
+
 def test_memory_of_other_constants_or_an_earlier_program_is_not_taken() -> None:
     rig, noise = ChainRig(), DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
     learner, other = learner_of(rig), learner_of(ChainRig(sheet=(0.0, 0.01, 0.01, 0.25)))

@@ -6,17 +6,26 @@ import numpy as np
 import pytest
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.noise.lines import MEDIAN, _leakage, _standing_out, between
+from agent.numerics.inference.noise.lines import MEDIAN, _leakage, _standing_out
+from agent.numerics.inference.noise.state import Places
 
 BINS = np.arange(501)
 
 
-def power_of(cycles: float, background: float, seed: int = 1) -> np.ndarray:
-    """Power of a line of 10,000 σ² in noise that is `background` σ² in each bin."""
-    line = np.fft.rfft(np.cos(2 * np.pi * cycles * np.arange(1000) / 1000 + 0.3)) / 500
+NOWHERE = Places(np.zeros((501, 1)), np.zeros((501, 1)))
+
+
+def spectrum_of(cycles: float, background: float, seed: int = 1) -> np.ndarray:
+    """Residual (b,) of a line of 10,000 σ² in noise that is `background` σ² in each bin."""
+    line = np.fft.rfft(np.cos(2 * np.pi * cycles * np.arange(1000) / 1000 + 0.3 * seed)) / 500
     rng = np.random.default_rng(seed)
     noise = np.sqrt(0.5 * background) * (rng.standard_normal(501) + 1j * rng.standard_normal(501))
-    return np.asarray(np.abs(100 * line + noise) ** 2)
+    return np.asarray(100 * line + noise)
+
+
+def off_of(cycles: float) -> np.ndarray:
+    """Places (b,) as one window without noise shows them."""
+    return NOWHERE.after(spectrum_of(cycles, 0.0)[:, None], BINS).off[:, 0]
 
 
 def level_of(power: np.ndarray) -> np.ndarray:
@@ -25,31 +34,42 @@ def level_of(power: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("cycles", [40.0, 40.2, 40.45, 39.8, 39.55])
-def test_line_between_two_bins_is_found_from_their_amplitudes(cycles: float) -> None:
-    spectrum = np.abs(np.fft.rfft(np.cos(2 * np.pi * cycles * np.arange(1000) / 1000 + 0.3)))
-    found = 40 + between(float(spectrum[40]), float(spectrum[39]), float(spectrum[41]))
-    assert found == pytest.approx(cycles, abs=0.01)
+def test_line_between_two_bins_is_found_by_windows_of_any_phase(cycles: float) -> None:
+    places = NOWHERE
+    for window in range(10):
+        places = places.after(spectrum_of(cycles, 4.0, window)[:, None], BINS)
+    assert 40 + places.off[40, 0] == pytest.approx(cycles, abs=0.01)
 
 
-def test_line_of_which_a_window_shows_nothing_is_at_its_bin() -> None:
-    assert between(0.0, 0.0, 0.0) == 0.0
+def test_line_of_which_no_window_shows_anything_is_at_its_bin() -> None:
+    assert not NOWHERE.off.any()
+    assert not NOWHERE.after(np.zeros((501, 1), dtype=complex), BINS).off.any()
+
+
+def test_place_is_not_taken_from_bins_that_are_not_next_to_one_another() -> None:
+    every_other = np.delete(BINS, 41)
+    places = NOWHERE.after(spectrum_of(40.2, 0.0)[every_other, None], every_other)
+    assert not places.off[[40, 42], 0].any()
+    assert places.off[39, 0]
 
 
 @pytest.mark.parametrize("cycles", [40.2, 40.4, 39.7])
 def test_leakage_is_that_of_the_line(cycles: float) -> None:
-    power = power_of(cycles, 0.0)
-    found = _leakage(level_of(power), power, BINS, alone=True)
-    for k in (36, 38, 42, 45):
+    power = np.abs(spectrum_of(cycles, 0.0)) ** 2
+    found = _leakage(level_of(power), power, BINS, off_of(cycles), alone=True)
+    for k in (36, 38, 39, 41, 42, 45):
         assert found[k] - 1 == pytest.approx(power[k], rel=0.2)
 
 
 def test_what_forces_leave_beside_a_line_does_not_leak_with_it() -> None:
-    power = power_of(40.0, 1e6)
+    power = np.abs(spectrum_of(40.2, 1e6)) ** 2
     level = np.where(BINS == 40, 1e4, 1.0)
-    # a line in its bin leaks nowhere; the work of forces, a hundred times as strong, leaked with it
+    # the work of forces, a hundred times as strong as the line, leaked with it
     beyond = np.abs(BINS - 40) > 8
-    assert _leakage(level, power, BINS, alone=True)[beyond].max() < 10
-    assert _leakage(level, power, BINS, alone=False)[beyond].max() > 1000  # windows too short to show colours
+    off = off_of(40.2)
+    assert _leakage(level, power, BINS, off, alone=True)[beyond].max() < 40
+    # windows too short to show colours
+    assert _leakage(level, power, BINS, off, alone=False)[beyond].max() > 200
 
 
 def coloured_power(bins: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

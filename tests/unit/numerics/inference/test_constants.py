@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.constants import Constants, Hypothesis, hypotheses_of
+from agent.numerics.inference.constants import Constants, Hypothesis, farthest, hypotheses_of
 from agent.numerics.inference.information import Information
+from agent.numerics.inference.posterior import neglected
 from agent.numerics.model.uncertain import Constant
 from agent.types import FloatArray
 
@@ -315,3 +316,23 @@ def test_what_may_be_off_stands_beside_constants_that_are_within_their_data_shee
     off = np.array([h.name == "m1" for h in after.hypotheses]) & (after.weight >= tuning.STANDING_WEIGHT)
     sds = np.abs(after.mean[off, 1] - 0.015) / np.sqrt(after.covariance[off, 1, 1])
     assert sds.min() < 1.96
+
+
+def test_what_all_masses_moved_by_and_delays_bend_nothing() -> None:
+    late = (*CONSTANTS, Constant("x2", "output", 1, 0.01), Constant("delay", "delay", 0, 0.25))
+    moved = np.array([[0.1, 0.1, -0.05, -0.05, 0.5], [0.1, 0.0, 0.0, 0.0, 0.5], [0.0, 0.0, 0.0, -0.2, 0.0]])
+    assert farthest(late, moved) == pytest.approx([0.0, 0.05, 0.1])
+
+
+def test_spring_two_masses_share_is_as_far_from_its_line_as_what_is_neglected_says() -> None:
+    """k = ω² m1 m2 / (m1 + m2), the frequency known, and a line in the logarithms of the masses."""
+    eta = np.array([[0.1, -0.1], [0.25, -0.25]])
+    masses = 2.0 * np.exp(eta)
+    exact = masses.prod(axis=1) / masses.sum(axis=1)
+    along = np.exp(0.5 * eta.sum(axis=1))  # of equal masses each counts for a half: the line does not move
+    of_two = (Constant("m1", "mass", 0, 0.02), Constant("m2", "mass", 1, 0.02))
+    # the same seen from where one mass moved it by a share: half the product of that and of the masses'
+    bound = neglected(eta[:, :1], np.ones(1), farthest(of_two, eta))[:, 0]
+    assert (np.abs(exact - along) <= bound).all()
+    assert (np.abs(exact - along) > 0.9 * bound).all()
+    assert neglected(0.5 * eta[:, :1], np.ones(1), np.zeros(2))[0, 0] == pytest.approx(0.5 * 0.05**2)

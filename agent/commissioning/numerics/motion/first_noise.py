@@ -59,5 +59,8 @@ def _lengthened(seen: Knowledge, prior: Knowledge) -> Knowledge:
     """Return what a short window taught for windows of the prior's length, whose bins have levels anew."""
     if not seen.noise.is_started:
         return prior
-    noise = replace(seen.noise, power=prior.noise.power, dof=prior.noise.dof, windows=SEARCHED)
+    of_bins = prior.noise
+    noise = replace(
+        seen.noise, power=of_bins.power, dof=of_bins.dof, places=of_bins.places, windows=SEARCHED
+    )
     return replace(prior, noise=noise)

@@ -93,24 +93,38 @@ def _medians(values: FloatArray, places: IntArray) -> FloatArray:
     return out
 
 
+def between(here: float, left: float, right: float) -> float:
+    """Return a line's place between its bin and its stronger neighbour, from their amplitudes (-½ .. ½)."""
+    beside = max(left, right)
+    off = beside / max(here + beside, 1e-300)  # a window may show nothing where there was a line
+    return off if right > left else -off
+
+
 def _leakage(
     level: FloatArray, power: FloatArray, bin_of: IntArray, off: FloatArray, alone: bool
 ) -> FloatArray:
     """Return lines' leakage into bins about them (b,), in σ²: A² sin²(π δ) / (π (k − f))², 0 elsewhere.
 
     off (b,): δ, places of lines from the middles of their bins. alone: of the lines alone. In windows too
-    short to show colours what a model lacks is no force's either, and leaks with them.
+    short to show colours what a model lacks is no force's either, and leaks with them, from where it stands
+    in this one.
     """
     out = np.zeros(len(level))
     inner = level[1:-1]
     for k in 1 + np.flatnonzero((inner > tuning.LINE_POWER) & (inner >= level[:-2]) & (inner > level[2:])):
         if bin_of[k + 1] - bin_of[k - 1] > 2:
             continue  # only an even spread of the high bins is at hand there
-        size = power[k]
+        apart = bin_of - bin_of[k]
+        others = apart != 0
+        size, place = power[k], off[k]
         if alone:  # what forces leave in the bins about it is no part of the line
-            others = power[max(0, k - tuning.LINE_NEIGHBOURS) : k + tuning.LINE_NEIGHBOURS + 1]
-            size = min(max(size - np.median(others) / MEDIAN, 0.0), level[k])
-        apart = np.where(bin_of != bin_of[k], bin_of - bin_of[k] - off[k], np.inf)
-        share = np.sin(np.pi * off[k]) / np.sinc(off[k])
-        out = np.maximum(out, 1 + size * (share / (np.pi * apart)) ** 2)
+            about = power[max(0, k - tuning.LINE_NEIGHBOURS) : k + tuning.LINE_NEIGHBOURS + 1]
+            size = min(max(size - np.median(about) / MEDIAN, 0.0), level[k])
+        else:
+            left, here, right = np.sqrt(power[k - 1 : k + 2])
+            place = between(here, left, right)
+            others = np.abs(apart) > 1
+        share = np.sin(np.pi * place) / max(abs(np.sinc(place)), 1e-6)
+        leaks = 1 + size * (share / (np.pi * np.where(others, apart - place, np.inf))) ** 2
+        out = np.maximum(out, leaks)
     return np.where(out > 1.2, out, 0.0)

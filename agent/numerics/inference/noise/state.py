@@ -102,7 +102,9 @@ class Noise:
 
     def placed(self, residual: ComplexArray, bin_of: IntArray) -> "Noise":
         """Return the noise with lines' places by one more window's residual (b, p) on bins (b,)."""
-        places = self.places or Places(np.zeros_like(self.power), np.zeros_like(self.power))
+        places = self.places
+        if places is None:
+            places = Places(np.zeros_like(self.power), np.zeros_like(self.power))
         return replace(self, places=places.after(residual, bin_of))
 
     @property

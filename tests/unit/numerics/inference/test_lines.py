@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.noise.lines import MEDIAN, _leakage, _standing_out
+from agent.numerics.inference.noise.lines import MEDIAN, _leakage, _standing_out, between
 from agent.numerics.inference.noise.state import Places
 
 BINS = np.arange(501)
@@ -31,6 +31,14 @@ def off_of(cycles: float) -> np.ndarray:
 def level_of(power: np.ndarray) -> np.ndarray:
     """What is known of the bins: the line, and that nothing else is there."""
     return np.where(power > 0.5 * power.max(), power, 1.0)
+
+
+@pytest.mark.parametrize("cycles", [40.0, 40.2, 40.45, 39.8, 39.55])
+def test_line_between_two_bins_is_found_from_their_amplitudes(cycles: float) -> None:
+    spectrum = np.abs(np.fft.rfft(np.cos(2 * np.pi * cycles * np.arange(1000) / 1000 + 0.3)))
+    found = 40 + between(float(spectrum[40]), float(spectrum[39]), float(spectrum[41]))
+    assert found == pytest.approx(cycles, abs=0.01)
+    assert between(0.0, 0.0, 0.0) == 0.0
 
 
 @pytest.mark.parametrize("cycles", [40.0, 40.2, 40.45, 39.8, 39.55])

@@ -84,7 +84,7 @@ def test_a_drift_within_a_tenth_of_its_data_sheet_is_not_named() -> None:
         assert (drift.probability > 0.99) is named
 
 
-@pytest.mark.parametrize(("odds", "tied"), [(1.1, True), (2.9, True), (3.2, False), (20.0, False)])
+@pytest.mark.parametrize(("odds", "tied"), [(1.1, True), (3.9, True), (4.2, False), (20.0, False)])
 def test_explanations_that_data_hardly_tell_apart_share_their_probability(odds: float, tied: bool) -> None:
     prior = Constants.prior(hypotheses_of(CONSTANTS))
     names = [h.name if not h.drifts else "" for h in prior.hypotheses]

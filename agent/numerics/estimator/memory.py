@@ -17,7 +17,7 @@ from agent.numerics.inference.noise.rounding import Rounding
 from agent.numerics.inference.noise.state import Noise, Places
 from agent.numerics.inference.posterior import Footing, Knowledge
 from agent.numerics.inference.scatter import Scatter
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
 VERSION = 2  # fixed by the memory's form
 _BEFORE = 1  # fixed by the form before: arrays were lists of decimal numbers
@@ -37,7 +37,7 @@ def to_text(known: Knowledge) -> str:
             "walk": noise.walk, "counted": noise.counted,
         } | ({} if noise.information is None else {"information": _packed(noise.information)})
           | ({} if noise.rounding is None else {"rounding": _rounding(noise.rounding)})
-          | ({} if noise.places is None else {"places": _places(noise.places, noise.levels)}),
+          | {"places": _places(noise.places, noise.levels)},
         "constants": {
             "names": [h.name for h in constants.hypotheses], "weight": _packed(constants.weight),
             "mean": _packed(constants.mean), "covariance": _packed(constants.covariance),
@@ -64,10 +64,10 @@ def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) ->
         _array(n["log_sigma"]), _array(n["log_sigma_var"]), _dense(n["power"], fresh.power),
         _dense(n["dof"], fresh.dof),
         _array(n["nodes"]), _array(n["log_weight"]), _array(n["intensity"]), _array(n["spread"]),
-        n["windows"], n["turn"], n["walk"], n["counted"],
+        _places_of(n.get("places"), fresh.power), n["windows"], n["turn"], n["walk"], n["counted"],
         # earlier programs did not keep it
         None if n.get("information") is None else _array(n["information"]),
-        _rounding_of(n.get("rounding")), _places_of(n.get("places"), fresh.power),
+        _rounding_of(n.get("rounding")),
     )  # fmt: skip
     if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
         return None
@@ -109,19 +109,17 @@ def _rounding_of(kept: dict[str, Any] | None) -> Rounding | None:
 
 def _places(places: Places, levels: FloatArray) -> dict[str, object]:
     """Bins in which a line is, of any channel."""
-    at = np.flatnonzero((levels > LINE_LEVEL).any(axis=1))
-    return {"bins": at.tolist(), "along": _packed(places.along[at]), "squares": _packed(places.squares[at])}
+    lines = np.flatnonzero((levels > LINE_LEVEL).any(axis=1))
+    nothing = np.zeros(levels.shape[1])
+    return {
+        "along": _of_bins(places.along, nothing, lines), "squares": _of_bins(places.squares, nothing, lines),
+    }  # fmt: skip
 
 
-def _places_of(kept: dict[str, Any] | None, fresh: FloatArray) -> Places | None:
+def _places_of(kept: dict[str, Any] | None, fresh: FloatArray) -> Places:
     if kept is None:  # earlier programs did not keep them
-        return None
-    out = Places(np.zeros_like(fresh), np.zeros_like(fresh))
-    at = np.array(kept["bins"], dtype=np.int64)
-    for whole, part in ((out.along, kept["along"]), (out.squares, kept["squares"])):
-        inside = at < len(whole)
-        whole[at[inside]] = _array(part).reshape(len(at), whole.shape[1])[inside]
-    return out
+        return Places.unseen(*fresh.shape)
+    return Places(_dense(kept["along"], fresh), _dense(kept["squares"], fresh))
 
 
 def _packed(values: FloatArray) -> dict[str, object]:
@@ -142,7 +140,11 @@ def _sparse(values: FloatArray) -> dict[str, object]:
     """Bins that differ from what is usual: most do not by much, and a minute's window has 30,000."""
     usual = np.median(values, axis=0)
     odd = np.flatnonzero((np.abs(values / usual - 1) > 0.5).any(axis=1))
-    return {"usual": _packed(usual), "bins": odd.tolist(), "values": _packed(values[odd])}
+    return _of_bins(values, usual, odd)
+
+
+def _of_bins(values: FloatArray, usual: FloatArray, bins: IntArray) -> dict[str, object]:
+    return {"usual": _packed(usual), "bins": bins.tolist(), "values": _packed(values[bins])}
 
 
 def _dense(kept: dict[str, Any], fresh: FloatArray) -> FloatArray:

@@ -281,5 +281,5 @@ def _lines(noise: Noise, window: int) -> tuple[Line, ...]:
     inner, below, above = levels[1:-1], levels[:-2], levels[2:]
     peaks = np.argwhere((inner > LINE_LEVEL) & (inner >= below) & (inner > above))
     strongest = sorted(peaks.tolist(), key=lambda place: -inner[place[0], place[1]])[:MOST_LINES]
-    off = noise.lines_off
+    off = noise.places.off
     return tuple(Line(c, 2 * np.pi * (k + 1 + off[k + 1, c]) / window) for k, c in strongest)

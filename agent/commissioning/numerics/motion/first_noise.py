@@ -60,7 +60,5 @@ def _lengthened(seen: Knowledge, prior: Knowledge) -> Knowledge:
     if not seen.noise.is_started:
         return prior
     of_bins = prior.noise
-    noise = replace(
-        seen.noise, power=of_bins.power, dof=of_bins.dof, places=of_bins.places, windows=SEARCHED
-    )
+    noise = replace(seen.noise, power=of_bins.power, dof=of_bins.dof, places=of_bins.places, windows=SEARCHED)
     return replace(prior, noise=noise)

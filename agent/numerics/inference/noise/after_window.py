@@ -119,8 +119,8 @@ def _after(noise: Noise, fit: NoiseFit, scan: Scan) -> Noise:
         information[np.ix_(fit.there, fit.there)] = fit.information
     return Noise(
         fit.log_sigma, fit.log_sigma_var, power, dof, noise.nodes, log_weight, fit.intensity, spread,
-        noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted, information, noise.rounding,
-        noise.places,
+        noise.places, noise.windows + 1, noise.turn + tuning.ROTATION, walk, counted, information,
+        noise.rounding,
     )  # fmt: skip
 
 

@@ -26,9 +26,9 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
     bin_of = np.concatenate([np.arange(bins.kept), bins.high])
     cell_of = np.concatenate([np.arange(bins.kept), bins.kept + bins.group_of]).astype(np.int64)
     residual = np.vstack([regression.X[..., -1], regression.high])
-    noise = noise.placed(residual, bin_of)
+    places = noise.places.after(residual, bin_of)
     power = np.abs(residual) ** 2 / noise.white
-    off = noise.lines_off[bin_of]
+    off = places.off[bin_of]
     level = noise.levels[bin_of]
     columns = slice(regression.layout.psi.start, regression.layout.base)  # parameters and constants
     for channel in range(power.shape[1]):
@@ -43,7 +43,7 @@ def with_lines(noise: Noise, cells: Cells, regression: Regression) -> Noise:
         level[:, channel] = np.maximum(level[:, channel], leakage)
     raised = noise.power.copy()
     raised[bin_of] = noise.dof[bin_of] * level
-    return replace(noise, power=raised)
+    return replace(noise, power=raised, places=places)
 
 
 def _loud(above: FloatArray, bin_of: IntArray) -> IntArray:

@@ -25,6 +25,11 @@ class Places:
     along: FloatArray
     squares: FloatArray
 
+    @classmethod
+    def unseen(cls, bins: int, outputs: int) -> "Places":
+        """Return what is known before any window."""
+        return cls(np.zeros((bins, outputs)), np.zeros((bins, outputs)))
+
     def after(self, residual: ComplexArray, bin_of: IntArray) -> "Places":
         """Return the places after one more window's residual (b, p) on bins (b,)."""
         n = residual[:-2] - residual[2:]
@@ -54,12 +59,12 @@ class Noise:
             window.
         intensity: (a,) posterior mean of each.
         spread: (a, q) relative variance that the uncertainty of each intensity adds to each parameter.
+        places: where lines are.
         windows: windows learnt; turn: whose turn it is in the rotation.
         walk: variance of the random walk of log σ from window to window; counted: windows behind it.
         information: (a, a) of the variances of sources that are there, from all windows, old ones forgotten;
             0 for the others; None where there are none.
         rounding: what it adds to σ²; None where it is the same for all readings: σ then has it in.
-        places: where lines are; None before the first window.
     """
 
     log_sigma: FloatArray
@@ -70,13 +75,13 @@ class Noise:
     log_weight: FloatArray
     intensity: FloatArray
     spread: FloatArray
+    places: Places
     windows: int = 0
     turn: int = 0
     walk: float = tuning.SIGMA_WALK**2
     counted: float = tuning.SIGMA_WALK_DOF
     information: FloatArray | None = None
     rounding: Rounding | None = None
-    places: Places | None = None
 
     @classmethod
     def prior(cls, sigma: FloatArray, spread: FloatArray, bins: int, sources: int, q: int) -> "Noise":
@@ -93,24 +98,13 @@ class Noise:
             empty,
             np.zeros(sources),
             np.zeros((sources, q)),
+            Places.unseen(bins, p),
         )
 
     @property
     def levels(self) -> FloatArray:
         """(K, p) level of each bin."""
         return self.power / self.dof
-
-    def placed(self, residual: ComplexArray, bin_of: IntArray) -> "Noise":
-        """Return the noise with lines' places by one more window's residual (b, p) on bins (b,)."""
-        places = self.places
-        if places is None:
-            places = Places(np.zeros_like(self.power), np.zeros_like(self.power))
-        return replace(self, places=places.after(residual, bin_of))
-
-    @property
-    def lines_off(self) -> FloatArray:
-        """(K, p) places of lines from the middles of their bins (-½ .. ½)."""
-        return np.zeros_like(self.power) if self.places is None else self.places.off
 
     @property
     def unsure(self) -> float:

@@ -12,6 +12,8 @@ from agent.numerics.estimator.memory import from_text, to_text
 from agent.numerics.estimator.record import Record
 from agent.numerics.estimator.schedule import budget_of, samples_an_evaluation
 from agent.numerics.estimator.tuning import BURST, EVALUATIONS_A_WINDOW, FIRST, SPARE
+from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.noise.state import Noise
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import learner_of, record
 
@@ -95,10 +97,15 @@ def test_record_finds_windows_that_are_quiet_and_inputs_that_rest(seed: int) -> 
     assert not rests[:, 1].any()  # no channel reads the constant input
 
 
-def test_memory_round_trip_gives_the_same_answers() -> None:
-    rig, rng = ChainRig(), np.random.default_rng(2)
+def taught() -> tuple[ChainRig, np.random.Generator, DenseNoise, Learner]:
+    """A rig, where its windows and their noise come from, and who learns from them."""
+    rig = ChainRig()
     noise = DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
-    learner = learner_of(rig)
+    return rig, np.random.default_rng(2), noise, learner_of(rig)
+
+
+def test_memory_round_trip_gives_the_same_answers() -> None:
+    rig, rng, noise, learner = taught()
     known = learner.prior(noise.sigma, np.full(2, 0.3))
     fresh = known.noise
     for _ in range(5):
@@ -114,9 +121,7 @@ def test_memory_round_trip_gives_the_same_answers() -> None:
 
 
 def test_memory_keeps_where_lines_stand() -> None:
-    rig, rng = ChainRig(), np.random.default_rng(2)
-    noise = DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
-    learner = learner_of(rig)
+    rig, rng, noise, learner = taught()
     known = learner.prior(noise.sigma, np.full(2, 0.3))
     fresh = known.noise
     for k in range(5):
@@ -126,9 +131,9 @@ def test_memory_keeps_where_lines_stand() -> None:
     again = from_text(to_text(known), learner.hypotheses, fresh)
     assert again is not None
     at = np.argmax(known.noise.levels[:, 0])
-    assert at + again.noise.lines_off[at] == pytest.approx(40.3, abs=0.01)
-    assert again.noise.lines_off[at] == pytest.approx(known.noise.lines_off[at], abs=0)
-    assert np.count_nonzero(again.noise.lines_off) < np.count_nonzero(known.noise.lines_off)
+    assert at + again.noise.places.off[at] == pytest.approx(40.3, abs=0.01)
+    assert again.noise.places.off[at] == pytest.approx(known.noise.places.off[at], abs=0)
+    assert np.count_nonzero(again.noise.places.off) < np.count_nonzero(known.noise.places.off)
 
 
 def test_memory_of_other_constants_or_an_earlier_program_is_not_taken() -> None:
@@ -140,6 +145,8 @@ def test_memory_of_other_constants_or_an_earlier_program_is_not_taken() -> None:
     text = to_text(known)
     assert from_text(text, learner.hypotheses, fresh) is not None
     assert from_text(text, other.hypotheses, fresh) is None
+    three = Noise.prior(np.ones(3), np.ones(3), len(fresh.power), len(fresh.intensity), 4)
+    assert from_text(text, learner.hypotheses, three) is None
     assert from_text(text.replace('"version": 2', '"version": 0'), learner.hypotheses, fresh) is None
     assert from_text(to_text(replace(known, footing=None)), learner.hypotheses, fresh) is None
 

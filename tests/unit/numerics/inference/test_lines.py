@@ -12,7 +12,7 @@ from agent.numerics.inference.noise.state import Places
 BINS = np.arange(501)
 
 
-NOWHERE = Places(np.zeros((501, 1)), np.zeros((501, 1)))
+NOWHERE = Places.unseen(501, 1)
 
 
 def spectrum_of(cycles: float, background: float, seed: int = 1) -> np.ndarray:

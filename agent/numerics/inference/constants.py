@@ -7,6 +7,7 @@ window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automa
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import combinations
 
 import numpy as np
 
@@ -120,7 +121,20 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     drifts = _drifts(constants, drifting, [*wider, *exact], odds)
     alone = [h for h in (*stills, *drifts) if len(h.off) == 1]
     both = [h.with_off(*late) for late in lasting for h in alone]
-    return tuple(every + still + drifts + both)
+    return tuple(every + still + drifts + both + _two(constants, sets, timely[0], each))
+
+
+def _two(
+    constants: tuple[Constant, ...], sets: list[tuple[Off, Kind]], exact: Hypothesis, each: float
+) -> list[Hypothesis]:
+    """Two that are off, neither of them part of the other, where all else is as configured."""
+    scales = [(off, _spread(constants, off, kind)) for off, kind in sets if kind != "delay"]
+    healthy = replace(exact, prior=1.0)
+    return [
+        healthy.with_off(*one, each).with_off(*other, each)
+        for one, other in combinations(scales, 2)
+        if not one[0].members @ other[0].members
+    ]
 
 
 def _drifts(

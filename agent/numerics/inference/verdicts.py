@@ -96,11 +96,11 @@ def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
     spread = np.maximum(sd, 1e-300)
     larger = ndtr((-said.least - size) / spread) + ndtr((size - said.least) / spread)
     probability = constants.weight[said.row] * np.where(said.drifts, larger, 1.0)
-    return tuple(_shared(_together(said, probability, size, sd)))
+    return tuple(_shared(_together(said, probability, size, sd), constants))
 
 
-def _shared(found: list[Belief]) -> list[Belief]:
-    """Let explanations of a scale that the data hardly tell apart share their probability.
+def _shared(found: list[Belief], constants: Constants) -> list[Belief]:
+    """Let explanations of a scale that the data hardly tell apart share the probability of any of them.
 
     Evidence of 3 to 1 is not worth more than a bare mention (Kass & Raftery, J. Am. Stat. Assoc. 90 (1995)
     773): taken at its word it would name a sound part in one of four such cases.
@@ -110,7 +110,10 @@ def _shared(found: list[Belief]) -> list[Belief]:
     tied = [b for b in scales if b.probability > best / tuning.BARE_MENTION]
     if not tied or best >= tuning.BARE_MENTION / (1 + tuning.BARE_MENTION):
         return found
-    each = sum(b.probability for b in tied) / len(tied)
+    off = {(b.name, b.drifts) for b in tied}
+    names_one = [any((o.name, o.drifts) in off for o in h.off) for h in constants.hypotheses]
+    # two that are off at once would else count for both
+    each = min(sum(b.probability for b in tied), float(constants.weight[names_one].sum())) / len(tied)
     return [replace(b, probability=each) if b in tied else b for b in found]
 
 

@@ -16,6 +16,7 @@ from agent.blocks.sensor_labels import Labelled, Piece, SensorLabels
 from agent.numerics.preprocessing.cleaning import Clean, Cleaner
 from agent.numerics.preprocessing.rows import rows_with
 from agent.numerics.preprocessing.sensor_watch import SensorWatch
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -31,6 +32,7 @@ class QualitySettings:
         bridge: samples of the longest gap that is bridged.
         quantities: (c,) what each shows; none for what is not known to be alike.
         commanded: whether inputs are what was commanded, and no readings of it.
+        wire: what channels come in, SI if not said.
     """
 
     channels: tuple[str, ...]
@@ -40,6 +42,7 @@ class QualitySettings:
     bridge: int
     quantities: tuple[str, ...] = ()
     commanded: bool = False
+    wire: Wire | None = None
 
 
 class Quality:
@@ -55,7 +58,7 @@ class Quality:
         self._cleaner = Cleaner(is_input, settings.step)
         kinds = np.unique(settings.quantities, return_inverse=True)[1] if settings.quantities else None
         commanded = is_input & settings.commanded
-        self._watch = SensorWatch(is_input, settings.step, settings.window, kinds, commanded)
+        self._watch = SensorWatch(is_input, settings.step, settings.window, kinds, commanded, settings.wire)
         self._labels = SensorLabels(settings.channels, settings.inputs, settings.window)
         self._open = False
         self._newest, self._newest_ns = -1, 0

@@ -1,5 +1,6 @@
 """From a checked configuration to the mathematics: the parametric model, its windows, noise and gains."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from agent.numerics.model.observer import matched_gain, poles_gain, start_gain
 from agent.numerics.model.riccati import spectral_radius
 from agent.numerics.model.sensors import Nuisance, SensedModel
 from agent.numerics.model.statespace import AffineModel, Discrete, Model, StateSpace, modes, stacked
+from agent.numerics.preprocessing.wire import Wire
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, IntArray
 
@@ -191,6 +193,12 @@ def output_noise(config: RigConfig, resolution: FloatArray) -> tuple[FloatArray,
     floor = resolution / np.sqrt(12.0)
     stated = np.array([np.nan if c.noise_sd is None else c.noise_sd * c.si_factor for c in config.outputs])
     return np.hypot(stated, floor), floor
+
+
+def wire_of(channels: Sequence[Channel]) -> Wire:
+    """Return what channels come in."""
+    unit = [abs(c.scale) * c.si_factor for c in channels]
+    return Wire(np.array(unit), np.array([c.offset * c.si_factor for c in channels]))
 
 
 def known_noise(config: RigConfig, resolution: FloatArray) -> FloatArray:

@@ -4,7 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.blocks.rig_model import RigModel, estimated, hop_plan, longer_windows, output_noise, rig_model
+from agent.blocks.rig_model import (
+    RigModel,
+    estimated,
+    hop_plan,
+    longer_windows,
+    output_noise,
+    rig_model,
+    wire_of,
+)
 from agent.blocks.tuning import SHARE_OF_MATRIX
 from agent.config import RigConfig
 from agent.config.domains.plant import Domain
@@ -343,5 +351,5 @@ def estimator_settings(config: RigConfig, resolution: FloatArray) -> EstimatorSe
     return EstimatorSettings(
         rig=statistical_rig(config), plan=HopPlan(plan.window, plan.hop), longer=longer_windows(config, plan),
         sigma=sigma, sigma_spread=np.array([c.noise_sd_spread for c in config.outputs]), floor=floor,
-        enough_sd=config.estimator.resolve * limits, wanted_sd=0.1 * limits,
+        enough_sd=config.estimator.resolve * limits, wanted_sd=0.1 * limits, wire=wire_of(config.outputs),
     )  # fmt: skip

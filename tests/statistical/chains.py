@@ -106,8 +106,8 @@ class Chain:
 
     def configuration(self, **said: object) -> RigConfig:
         """The rig as it is configured: `noise` (per output, None: not stated), `masses`, `hold`,
-        `limit_percent`, `observer` (a table's text), `sd_percent`, `gain_sd_percent`, `delay_sd_s`, and
-        `lag_sd_s`, the same of outputs."""
+        `limit_percent`, `observer` (a table's text), `sd_percent`, `gain_sd_percent`, `delay_sd_s`,
+        `lag_sd_s`, the same of outputs, and `scale` of outputs."""
         return _loaded(self, tuple(sorted(said.items())))
 
 
@@ -146,6 +146,7 @@ def _text(chain: Chain, said: Mapping[str, object]) -> str:
     for (quantity, mass), name, noise in zip(chain.sensors, chain.outputs, stated, strict=True):  # type: ignore[call-overload]
         lines += ["[[channel]]", f'name = "{name}"', f'quantity = "{quantity}"', f'at = "m{mass + 1}"']
         lines += [f'unit = "{UNITS[quantity]}"\n{gain}' + ("" if noise is None else f"noise_sd = {noise!r}")]
+        lines += [f"scale = {said.get('scale', 1.0)!r}"]
     lines += [
         "[estimator]",
         f"window_s = {chain.window_s}",

@@ -166,11 +166,11 @@ def coloured(pole: float) -> Change:
     return change
 
 
-def digits(count: int) -> Change:
-    """Readings as a table of so many significant digits gives them."""
+def digits(count: int, unit: float = 1.0) -> Change:
+    """Readings as a table of so many significant digits gives them, in multiples of a unit."""
 
     def spoil(y: FloatArray) -> FloatArray:
-        size = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(y), 1e-300))) - count + 1)
+        size = unit * 10.0 ** (np.floor(np.log10(np.maximum(np.abs(y / unit), 1e-300))) - count + 1)
         return np.asarray(np.round(y / size) * size)
 
     def change(play: Play, _: np.random.Generator) -> None:
@@ -391,6 +391,9 @@ def said(case: Case, readings: FloatArray) -> Found:
 
 
 def records(case: Case, readings: FloatArray) -> list[Record]:
+    scale = case.config.get("scale", 1.0)
+    assert isinstance(scale, float)
+    readings = np.hstack([readings[:, :1], readings[:, 1:] / scale])  # as they come
     pipeline = make_pipeline(case.chain.configuration(**case.config))
     t_ns = np.round(np.arange(len(readings)) * 1e9 / case.chain.rate_hz).astype(np.int64)
     out: list[Record] = []

@@ -52,6 +52,7 @@ SHEETS = {"mass": 0.02, "gain": 0.01, "delay": 0.25}
 NOISE_SHARE = (1e-4, 1e-2)
 """Sensor noise as a share of each output's rms."""
 HUM_HZ = 50.0
+STANDARD_GRAVITY = 9.80665
 SIZES = (0.2, 0.4, 0.3, 0.1)
 """Shares of rigs with one mass and more."""
 STEP = 1e-5
@@ -366,6 +367,11 @@ def _digits(_: Network, __: np.random.Generator) -> Fault:
     return Fault("three digits", (digits(3),))
 
 
+def _digits_of_g(_: Network, __: np.random.Generator) -> Fault:
+    """Such a table, whose scale makes SI of it: there it has steps of no decimal number."""
+    return Fault("three digits of g", (digits(3, STANDARD_GRAVITY),), {"scale": STANDARD_GRAVITY})
+
+
 def _coloured(_: Network, __: np.random.Generator) -> Fault:
     return Fault("AR sensors", (coloured(0.95),))
 
@@ -399,6 +405,7 @@ FAULTS: dict[str, Callable[[Network, np.random.Generator], Fault]] = {
     "three digits": _digits, "AR sensors": _coloured, "gain": _gain,
 }  # fmt: skip
 DRIVEN = frozenset({"driving-point force noise"})
+SCALED: dict[str, Callable[[Network, np.random.Generator], Fault]] = {"three digits of g": _digits_of_g}
 DRAWN: dict[str, Callable[[Network, np.random.Generator], Fault]] = {"data sheets": _sheets}
 """What is right of nineteen rigs in twenty, by the meaning of a data sheet: counted over rigs."""
 PAIRS = (
@@ -431,7 +438,7 @@ def case(seed: int, kinds: tuple[str, ...]) -> Case:
         if _is_seen(made) and ("hum" not in kinds or made.rate_hz > 2.5 * HUM_HZ):
             break
     rng = np.random.default_rng([seed, 72])
-    known = FAULTS | DRAWN
+    known = FAULTS | SCALED | DRAWN
     faults = [known["force noise" if kind in DRIVEN else kind](made, rng) for kind in kinds]
     config: dict[str, object] = {"limit_percent": 100 * made.limit}
     config |= {key: value for fault in faults for key, value in fault.config.items()}

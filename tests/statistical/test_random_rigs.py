@@ -22,6 +22,7 @@ QUICK = (
     (7502, ("gain drifts",), 40),
     (7331, ("one mass",), 8),
     (8231, ("three digits",), 6),
+    (8231, ("three digits of g",), 6),
     (8603, ("one mass", "hum"), 8),
     (8705, ("gain drifts", "unknown force"), 20),
     (9031, ("force noise", "one output"), 20),
@@ -43,7 +44,8 @@ QUICK = (
 )
 """Rigs, by their seeds, what is wrong with them, and windows: of 7501 and 8705 each window shows a gain that
 drifts, of 7502 a row breaks after thirty, of 7331 and 9031 two explanations tie whose terms of second order
-are larger than what either leaves open, of 8231 a table's step is tenfold at the peaks, of 8603 divide and
+are larger than what either leaves open, of 8231 a table's step is tenfold at the peaks, in SI
+or before it is scaled, of 8603 divide and
 conquer finds no singular values of a factor of the bank's, of 9103 forces leak with the hum, of 9303 windows
 are rounded a hundred times as coarsely as others, of 9127 belief slides to what is configured after fifteen,
 of 9250 no window comes to rest under the noise of the sensors alone, of 30035 a force that is held hides what

@@ -79,7 +79,7 @@ def pool(
     spread = np.where(known, settings.sigma_spread, SIGMA_SPREAD_UNSTATED)
     # far from the machine a model may grow beyond all numbers within a window, or die within a sample
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        said = pooled(settings.rig, windows, sigma, spread, settings.floor, progress)
+        said = pooled(settings.rig, windows, sigma, spread, settings.floor, settings.wire, progress)
     return said, config, len(windows)
 
 

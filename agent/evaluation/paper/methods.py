@@ -12,6 +12,7 @@ from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.paper.seed import read_off
 from agent.numerics.paper.seed_window import SeedSettings
+from agent.numerics.preprocessing.wire import Wire
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray, Status
 
@@ -54,4 +55,5 @@ def _product_settings(window: int, hop: int) -> EstimatorSettings:
         rig=rig, plan=HopPlan(window, hop), longer=(), sigma=np.full(2, np.nan),
         sigma_spread=np.full(2, np.nan),
         floor=np.full(2, ROUNDING_M), enough_sd=0.033 * cases.NOMINAL, wanted_sd=0.01 * cases.NOMINAL,
+        wire=Wire.in_si(2),
     )  # fmt: skip

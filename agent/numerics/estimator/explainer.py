@@ -60,13 +60,13 @@ class Explainer:
 
     def __init__(self, settings: EstimatorSettings, budget: Budget) -> None:
         self.settings = settings
-        self.learner = Learner(settings.rig, settings.plan.window, settings.outputs, settings.floor)
+        window = settings.plan.window
+        self.learner = Learner(settings.rig, window, settings.outputs, settings.floor, settings.wire)
         self.known: Knowledge | None = None
         self.posterior: Posterior | None = None
         self.lines: dict[int, Posterior] = {}
         self.bank = Bank(settings, self.learner.sources)
         self.budget = budget
-        window = settings.plan.window
         self.schedule = Schedule(window, eager_windows(window, settings.rig.period_s))
         self.disturbance = Disturbance()
         self.faults = Faults(self.learner, settings.floor)
@@ -100,7 +100,7 @@ class Explainer:
     def adopt(self, content: str) -> None:
         """Begin with what an earlier run learnt, where it is of the same rig and window."""
         fresh = self.learner.prior(np.ones(self.settings.outputs), np.ones(self.settings.outputs))
-        self.known = from_text(content, self.learner.hypotheses, fresh.noise)
+        self.known = from_text(content, fresh, self.learner.wire)
         self._adopted = self.known is not None
 
     def take_beliefs(self) -> tuple[tuple[int, tuple[Belief, ...]], ...]:

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from agent.numerics.estimator.tuning import LINE_LEVEL
-from agent.numerics.inference.constants import Constants, Hypothesis
+from agent.numerics.inference.constants import Constants
 from agent.numerics.inference.noise.rounding import Rounding
 from agent.numerics.inference.noise.state import Noise, Places
 from agent.numerics.inference.posterior import Footing, Knowledge
 from agent.numerics.inference.scatter import Scatter
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import FloatArray, IntArray
 
 VERSION = 2  # fixed by the memory's form
@@ -50,38 +51,49 @@ def to_text(known: Knowledge) -> str:
     return json.dumps(content, sort_keys=True, allow_nan=False)
 
 
-def from_text(content: str, hypotheses: tuple[Hypothesis, ...], fresh: Noise) -> Knowledge | None:
-    """Return knowledge from its text; None where it is of another version or of other sizes than `fresh`."""
+def from_text(content: str, fresh: Knowledge, wire: Wire) -> Knowledge | None:
+    """Return knowledge from its text; None where it is of another version or of other sizes than `fresh`.
+
+    wire: what outputs come in.
+    """
     found = json.loads(content)
     if found.get("version") not in {_BEFORE, VERSION}:
         return None
-    if found["constants"]["names"] != [h.name for h in hypotheses]:
+    if (constants := _constants_of(found["constants"], fresh.constants)) is None:
         return None
     if found.get("footing") is None:  # earlier programs did not keep it
         return None
-    n, c, s = found["noise"], found["constants"], found["scatter"]
+    n, s = found["noise"], found["scatter"]
     noise = Noise(
-        _array(n["log_sigma"]), _array(n["log_sigma_var"]), _dense(n["power"], fresh.power),
-        _dense(n["dof"], fresh.dof),
+        _array(n["log_sigma"]), _array(n["log_sigma_var"]), _dense(n["power"], fresh.noise.power),
+        _dense(n["dof"], fresh.noise.dof),
         _array(n["nodes"]), _array(n["log_weight"]), _array(n["intensity"]), _array(n["spread"]),
-        _places_of(n.get("places"), fresh.power), n["windows"], n["turn"], n["walk"], n["counted"],
+        _places_of(n.get("places"), fresh.noise.power), n["windows"], n["turn"], n["walk"], n["counted"],
         # earlier programs did not keep it
         None if n.get("information") is None else _array(n["information"]),
-        _rounding_of(n.get("rounding")),
+        _rounding_of(n.get("rounding"), wire),
     )  # fmt: skip
-    if noise.log_sigma.shape != fresh.log_sigma.shape or noise.intensity.shape != fresh.intensity.shape:
+    sizes = [(one.log_sigma.shape, one.intensity.shape) for one in (noise, fresh.noise)]
+    if sizes[0] != sizes[1]:
         return None
     eta = _array(found["eta"])
-    count = len(eta)
-    if count != len(hypotheses[0].covariance):
-        return None
-    constants = Constants(
-        hypotheses, _array(c["weight"]), _array(c["mean"]).reshape(len(hypotheses), count),
-        _array(c["covariance"]).reshape(len(hypotheses), count, count),
-    )  # fmt: skip
     scatter = Scatter(_array(s["within"]), _array(s["between"]), s["dof"], s["compared"])
     known = Knowledge(_array(found["theta"]), eta, noise, constants, scatter, found["kept"])
-    return replace(known, footing=_footing_of(found["footing"], count))
+    return replace(known, footing=_footing_of(found["footing"], len(eta)))
+
+
+def _constants_of(kept: dict[str, Any], first: Constants) -> Constants | None:
+    """Return what was known of constants; hypotheses that an earlier program did not have begin anew."""
+    names = kept["names"]
+    count = len(names)
+    size = first.mean.shape[1]
+    covariance = _array(kept["covariance"])
+    if [h.name for h in first.hypotheses[:count]] != names or covariance.size != count * size**2:
+        return None
+    weight = np.concatenate([(1 - first.weight[count:].sum()) * _array(kept["weight"]), first.weight[count:]])
+    mean = np.concatenate([_array(kept["mean"]).reshape(count, size), first.mean[count:]])
+    known = np.concatenate([covariance.reshape(count, size, size), first.covariance[count:]])
+    return Constants(first.hypotheses, weight, mean, known)
 
 
 def _footing(footing: Footing) -> dict[str, object]:
@@ -100,11 +112,11 @@ def _rounding(rounding: Rounding) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _rounding_of(kept: dict[str, Any] | None) -> Rounding | None:
+def _rounding_of(kept: dict[str, Any] | None, wire: Wire) -> Rounding | None:
     if kept is None:
         return None
     each = (_array(kept[part]) for part in ("usual", "of_power", "of_score"))
-    return Rounding(np.array(kept["digits"], dtype=np.int64), *each)
+    return Rounding(np.array(kept["digits"], dtype=np.int64), wire, *each)
 
 
 def _places(places: Places, levels: FloatArray) -> dict[str, object]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from agent.numerics.model.uncertain import Rig
+from agent.numerics.preprocessing.wire import Wire
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import FloatArray
 
@@ -20,6 +21,7 @@ class EstimatorSettings:
         floor: (p,) sensor sd that the wire's resolution alone causes, SI.
         enough_sd: (q,) sd above which a window cannot judge a parameter ("unexcited").
         wanted_sd: (q,) sd that needs no longer window.
+        wire: what outputs come in.
     """
 
     rig: Rig
@@ -30,6 +32,7 @@ class EstimatorSettings:
     floor: FloatArray
     enough_sd: FloatArray
     wanted_sd: FloatArray
+    wire: Wire
 
     @property
     def outputs(self) -> int:

@@ -26,6 +26,7 @@ from agent.numerics.inference.spectral.columns import Regressor, Window
 from agent.numerics.inference.spectral.sources import sources_of
 from agent.numerics.inference.tuning import FIRM, LOOKS_AN_EVALUATION, NOISE_PASS
 from agent.numerics.model.uncertain import Rig
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import FloatArray, IntArray
 
 
@@ -58,10 +59,14 @@ class Learner:
         window: W, samples.
         outputs: p.
         floor: (p,) sensor sd that the wire's resolution alone causes.
+        wire: what outputs come in, SI if not said.
     """
 
-    def __init__(self, rig: Rig, window: int, outputs: int, floor: FloatArray) -> None:
+    def __init__(
+        self, rig: Rig, window: int, outputs: int, floor: FloatArray, wire: Wire | None = None
+    ) -> None:
         self.rig, self.window, self.p = rig, window, outputs
+        self.wire = Wire.in_si(outputs) if wire is None else wire
         self.log_floor = np.log(np.maximum(floor, 1e-300))
         self.sources = sources_of(rig, window, outputs)
         self.hypotheses = hypotheses_of(rig.constants)
@@ -116,7 +121,7 @@ class Learner:
         later: windows since the one before it that was learnt from.
         """
         before = known.noise.rounding
-        known = self.lineariser.prepared(window, _met(window, known))
+        known = self.lineariser.prepared(window, _met(window, known, self.wire))
         predicted = replace(self.lineariser.placed(known), constants=known.constants.predicted(later))
         at = self.lineariser.linearised(window, predicted, jumps=known.noise.is_started)
         led = predicted.noise
@@ -490,11 +495,11 @@ def _of(window: Window, known: Knowledge) -> Knowledge:
     return replace(known, noise=known.noise.of(window.y))
 
 
-def _met(window: Window, known: Knowledge) -> Knowledge:
+def _met(window: Window, known: Knowledge, wire: Wire) -> Knowledge:
     """Return the same with the rounding that a window shows."""
     there = np.ones(window.length, dtype=bool)
     there[window.lost[:, 0]] = False
-    return replace(known, noise=known.noise.met(window.y[there]).of(window.y))
+    return replace(known, noise=known.noise.met(window.y[there], wire).of(window.y))
 
 
 def _estimate(at: Linearised, eta: FloatArray) -> Estimate:

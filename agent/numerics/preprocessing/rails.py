@@ -16,6 +16,7 @@ import numpy as np
 
 from agent.numerics.preprocessing import tuning
 from agent.numerics.preprocessing.bridge import runs
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import BoolArray, FloatArray
 
 RAIL_ENTRY = tuning.PLATEAU + tuning.BRAKED_OVER + 1
@@ -34,11 +35,11 @@ class Top(NamedTuple):
 
 
 class Rails:
-    """Remembers where each of c channels was stopped; inputs (c,)."""
+    """Remembers where each of c channels was stopped; inputs (c,); wire: what they come in."""
 
-    def __init__(self, inputs: BoolArray) -> None:
+    def __init__(self, inputs: BoolArray, wire: Wire) -> None:
         c = len(inputs)
-        self._inputs = inputs
+        self._inputs, self._wire = inputs, wire
         self._value = np.full((2, c), np.nan)
         self._times = np.zeros((2, c), dtype=np.int64)
         self._there, self._since = (
@@ -80,7 +81,7 @@ class Rails:
         """
         grain = max(grain, tuning.SAME * max(-ends[0], ends[1]))
         found = False
-        for top in tops(x, grain):
+        for top in tops(x, grain, self._wire.part(slice(channel, channel + 1))):
             is_force_at_rest = self._inputs[channel] and abs(top.value) <= 0.5 * grain
             if not is_force_at_rest:
                 found |= self._run_into(channel, top, ends, grain)
@@ -109,11 +110,12 @@ class Rails:
         )
 
 
-def tops(x: FloatArray, grain: float) -> list[Top]:
+def tops(x: FloatArray, grain: float, wire: Wire) -> list[Top]:
     """Return the flat tops and bottoms of readings that were entered too fast to be rounded peaks.
 
     Each is found in one block only: its last equal reading that makes it one is not in the first RAIL_ENTRY.
-    grain: step of the wire, noise or rounding of readings, whichever is largest; above 0.
+    grain: step of the wire, noise or rounding of readings, whichever is largest; above 0. wire: what this one
+    channel comes in.
     """
     found = []
     for start, stop in runs(np.asarray(np.diff(x) == 0)):
@@ -122,7 +124,7 @@ def tops(x: FloatArray, grain: float) -> list[Top]:
             continue
         side = int(x[start] > x[start - 1])
         near = np.abs(x - x[start]) <= abs(x[start] - x[start - 2])
-        here = max(grain, _step_at(x, start, near))
+        here = max(grain, float(wire.unit[0]) * _step_at(wire.readings(x), start, near))
         speed = unbraked((1 if side else -1) * np.diff(x[start - tuning.BRAKED_OVER - 2 : start]), here)
         if speed * count > tuning.OVERSHOOT * here:
             found.append(Top(side, float(x[start]), float(speed * count / here)))

@@ -15,6 +15,7 @@ from agent.numerics.preprocessing.rails import RAIL_ENTRY, Rails
 from agent.numerics.preprocessing.rows import followed, least_of_parts
 from agent.numerics.preprocessing.standing import Standing
 from agent.numerics.preprocessing.tuning import ENTRY, OVERSHOOT, PLATEAU, SAME
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import BoolArray, FloatArray, IntArray
 
 Kind = Literal["stuck", "saturated"]
@@ -58,11 +59,12 @@ class SensorWatch:
         kinds: (c,) number of the quantity that each channel shows; each another where it is not given.
         commanded: (c,) inputs that are what was commanded: they stay where they are put and know no end of a
             range.
+        wire: what channels come in, SI if not said.
     """
 
     def __init__(
         self, inputs: BoolArray, step: FloatArray, window: int, kinds: IntArray | None = None,
-        commanded: BoolArray | None = None,
+        commanded: BoolArray | None = None, wire: Wire | None = None,
     ) -> None:  # fmt: skip
         c = len(step)
         self._measured = np.ones(c, dtype=bool) if commanded is None else ~commanded
@@ -72,7 +74,7 @@ class SensorWatch:
         self._seen = np.full(c, np.inf)
         self._low, self._high = np.full(c, np.inf), np.full(c, -np.inf)
         self._standing = Standing(inputs, np.arange(c) if kinds is None else kinds, window, self.block)
-        self._rails = Rails(inputs)
+        self._rails = Rails(inputs, Wire.in_si(c) if wire is None else wire)
         self._kinds: list[Kind | None] = [None] * c
         self.restart()
 

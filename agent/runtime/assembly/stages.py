@@ -12,7 +12,7 @@ from agent.blocks.constants_watch import ConstantsWatch
 from agent.blocks.estimation import Estimation
 from agent.blocks.friction import DryFriction, dry_friction
 from agent.blocks.quality import Quality, QualitySettings
-from agent.blocks.rig_model import hop_plan, longest_bridge, rig_model
+from agent.blocks.rig_model import hop_plan, longest_bridge, rig_model, wire_of
 from agent.config import RigConfig
 from agent.runtime.assembly.methods import make_estimation
 from agent.types import FloatArray
@@ -50,7 +50,7 @@ def make_stages(config: RigConfig, steps: FloatArray) -> Stages:
     is_commanded = config.estimator.hold == "zero"
     settings = QualitySettings(
         channels=tuple(c.name for c in channels), inputs=inputs, step=steps, window=window, bridge=longest,
-        quantities=tuple(c.quantity for c in channels), commanded=is_commanded,
+        quantities=tuple(c.quantity for c in channels), commanded=is_commanded, wire=wire_of(channels),
     )  # fmt: skip
     return Stages(
         quality=Quality(settings),

@@ -29,7 +29,7 @@ def first_noise(
     length = max(BRIEF, int(BRIEF_SHARE * learner.window))
     if length < learner.window and len(windows) >= FROM:
         progress("looking for noise where it moves most")
-        short = Learner(learner.rig, length, learner.p, np.exp(learner.log_floor))
+        short = Learner(learner.rig, length, learner.p, np.exp(learner.log_floor), learner.wire)
         _, seen = short.learn(_liveliest(chosen, length), short.prior(sigma, spread), believe=True)
         known = _lengthened(seen, known)
         chosen = chosen[len(chosen) // 2 :][:1] if seen.noise.is_started else chosen

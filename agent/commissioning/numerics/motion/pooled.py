@@ -23,6 +23,7 @@ from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.columns import Window
 from agent.numerics.model.uncertain import Rig
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import BoolArray, FloatArray
 
 
@@ -88,13 +89,15 @@ def pooled(
     sigma: FloatArray,
     spread: FloatArray,
     floor: FloatArray,
+    wire: Wire,
     progress: Progress,
 ) -> Pooled:
     """Estimate from disjoint windows of one length, begun at nominal; sigma, spread, floor (p,) of noise.
 
+    wire: what outputs come in.
     progress: is called with words for how far it is.
     """
-    learner = Learner(rig, windows[0].length, len(sigma), floor)
+    learner = Learner(rig, windows[0].length, len(sigma), floor, wire)
     learnt = first_noise(learner, windows, sigma, spread, progress)
     nominal = replace(learnt, theta=rig.nominal.copy(), eta=np.zeros(len(rig.constants)))
     # a window of another machine may teach parameters that run away

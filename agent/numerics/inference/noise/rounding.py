@@ -4,7 +4,8 @@ Their rounding errors grow tenfold where a reading passes a power of ten, so tha
 window is that of another nor that of its parts each other's. With r(t) what rounding adds to S, estimates by
 the score Σ ψ' S⁻¹ e have Σ (S⁻¹ψ)² r / Σ ψ' S⁻¹ ψ more of the variance that S alone states (White,
 Econometrica 48 (1980) 817). Where in a window ψ is large the readings themselves show: springs and dampers
-show by the size of the motion, so r is weighed by y². A code that repeats itself repeats its error.
+show by the size of the motion, so r is weighed by y². A code that repeats itself repeats its error. Digits
+are those of readings as they came: what comes in multiples of g, or is scaled, is no table in SI.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.numerics.inference.tuning import LEAST_OWN, MOST_DIGITS, MOST_REPEATS, ROUNDING
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import BoolArray, FloatArray, IntArray
 
 
@@ -21,34 +23,37 @@ class Rounding:
 
     Attributes:
         digits: (p,) significant digits; 0 of an output with one step, or none.
+        wire: what outputs come in.
         usual: (p,) mean variance of rounding errors that the noise counts.
         of_power, of_score: (p,) by how much of itself the residual's power, and the variance of scores, grows
             with a unit of variance of an output's readings.
     """
 
     digits: IntArray
+    wire: Wire
     usual: FloatArray
     of_power: FloatArray
     of_score: FloatArray
 
     def variance(self, y: FloatArray) -> FloatArray:
         """Return the variance (N, p) of the rounding errors of readings y (N, p)."""
-        return np.asarray(np.where(self.digits > 0, _steps(y, np.maximum(self.digits, 1)) ** 2 / 12, 0.0))
+        steps = self.wire.unit * _steps(self.wire.readings(y), np.maximum(self.digits, 1))
+        return np.asarray(np.where(self.digits > 0, steps**2 / 12, 0.0))
 
     def at(self, y: FloatArray) -> "Rounding":
         """Return the rounding with readings y (W, p) as the usual ones."""
         return replace(self, usual=self.variance(y).mean(axis=0))
 
 
-def rounding_after(known: Rounding | None, y: FloatArray) -> Rounding | None:
-    """Return how outputs are rounded after one more window of readings y (W, p); None where evenly."""
-    digits, uneven = significant_digits(y)
+def rounding_after(known: Rounding | None, y: FloatArray, wire: Wire) -> Rounding | None:
+    """Return how outputs are rounded after one more window of values y (W, p); None where evenly."""
+    digits, uneven = significant_digits(wire.readings(y))
     before = np.zeros_like(digits) if known is None else known.digits
     digits = np.where((digits > 0) & (digits <= before), before, np.where(uneven, digits, 0))
     if not digits.any():
         return None
     none = np.zeros(len(digits))
-    return Rounding(digits, none, none, none) if known is None else replace(known, digits=digits)
+    return Rounding(digits, wire, none, none, none) if known is None else replace(known, digits=digits)
 
 
 def reference(known: Rounding | None, here: Rounding, share: float) -> FloatArray:
@@ -87,7 +92,9 @@ def _fits(y: FloatArray, digits: int) -> BoolArray:
 
 def _steps(y: FloatArray, digits: IntArray) -> FloatArray:
     """Step (N, p) at readings of so many digits (p,)."""
-    power = np.floor(np.log10(np.maximum(np.abs(y), 1e-300)))
+    # a power of ten may come as a number just below it
+    exact = 1 + ROUNDING * 10.0 ** (1 - MOST_DIGITS)
+    power = np.floor(np.log10(np.maximum(np.abs(y) * exact, 1e-300)))
     return np.asarray(10.0 ** (power + 1 - digits))
 
 

@@ -8,6 +8,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.noise.rounding import Rounding, rounding_after
 from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.sources import Source
+from agent.numerics.preprocessing.wire import Wire
 from agent.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 
@@ -127,9 +128,9 @@ class Noise:
         """Return the noise of a window of readings y (W, p), which are rounded as they are."""
         return self if self.rounding is None else replace(self, rounding=self.rounding.at(y))
 
-    def met(self, y: FloatArray) -> "Noise":
-        """Return the noise with the rounding that one more window of readings y (W, p) shows."""
-        return replace(self, rounding=rounding_after(self.rounding, y))
+    def met(self, y: FloatArray, wire: Wire) -> "Noise":
+        """Return the noise with the rounding that one more window of values y (W, p) shows."""
+        return replace(self, rounding=rounding_after(self.rounding, y, wire))
 
     def differs_from(self, before: "Noise", sources: tuple[Source, ...]) -> bool:
         """Whether an intensity that is large moved by more than a share since an earlier window.

@@ -107,28 +107,28 @@ def taught() -> tuple[ChainRig, np.random.Generator, DenseNoise, Learner]:
 def test_memory_round_trip_gives_the_same_answers() -> None:
     rig, rng, noise, learner = taught()
     known = learner.prior(noise.sigma, np.full(2, 0.3))
-    fresh = known.noise
+    fresh = known
     for _ in range(5):
         known = learner.learn(record(rig, rng, noise)[0], known)[1]
-    again = from_text(to_text(known), learner.hypotheses, fresh)
+    again = from_text(to_text(known), fresh, learner.wire)
     assert again is not None
     window = record(rig, rng, noise)[0]
     one, other = (learner.solve(window, k)[0] for k in (known, again))
     assert np.abs((one.theta - other.theta) / one.sd).max() < 0.1
     # levels of single bins are kept where they stand out only
     assert other.sd == pytest.approx(one.sd, rel=0.05)
-    assert to_text(again) == to_text(from_text(to_text(again), learner.hypotheses, fresh))  # type: ignore[arg-type]
+    assert to_text(again) == to_text(from_text(to_text(again), fresh, learner.wire))  # type: ignore[arg-type]
 
 
 def test_memory_keeps_where_lines_stand() -> None:
     rig, rng, noise, learner = taught()
     known = learner.prior(noise.sigma, np.full(2, 0.3))
-    fresh = known.noise
+    fresh = known
     for k in range(5):
         window = record(rig, rng, noise)[0]
         hum = 3e-3 * np.sin(2 * np.pi * 40.3 * np.arange(window.length) / window.length + k)
         known = learner.learn(replace(window, y=window.y + hum[:, None]), known)[1]
-    again = from_text(to_text(known), learner.hypotheses, fresh)
+    again = from_text(to_text(known), fresh, learner.wire)
     assert again is not None
     at = np.argmax(known.noise.levels[:, 0])
     assert at + again.noise.places.off[at] == pytest.approx(40.3, abs=0.01)
@@ -140,15 +140,37 @@ def test_memory_of_other_constants_or_an_earlier_program_is_not_taken() -> None:
     rig, noise = ChainRig(), DenseNoise(np.array([1e-4, 2e-4]), np.zeros(2))
     learner, other = learner_of(rig), learner_of(ChainRig(sheet=(0.0, 0.01, 0.01, 0.25)))
     known = learner.prior(noise.sigma, np.full(2, 0.3))
-    fresh = known.noise
+    fresh = known
     known = learner.learn(record(rig, np.random.default_rng(2), noise)[0], known)[1]
     text = to_text(known)
-    assert from_text(text, learner.hypotheses, fresh) is not None
-    assert from_text(text, other.hypotheses, fresh) is None
-    three = Noise.prior(np.ones(3), np.ones(3), len(fresh.power), len(fresh.intensity), 4)
-    assert from_text(text, learner.hypotheses, three) is None
-    assert from_text(text.replace('"version": 2', '"version": 0'), learner.hypotheses, fresh) is None
-    assert from_text(to_text(replace(known, footing=None)), learner.hypotheses, fresh) is None
+    assert from_text(text, fresh, learner.wire) is not None
+    assert from_text(text, other.prior(noise.sigma, np.full(2, 0.3)), learner.wire) is None
+    three = Noise.prior(np.ones(3), np.ones(3), len(fresh.noise.power), len(fresh.noise.intensity), 4)
+    assert from_text(text, replace(fresh, noise=three), learner.wire) is None
+    assert from_text(text.replace('"version": 2', '"version": 0'), fresh, learner.wire) is None
+    assert from_text(to_text(replace(known, footing=None)), fresh, learner.wire) is None
+
+
+def test_hypotheses_that_an_earlier_program_did_not_have_begin_with_their_priors() -> None:
+    rig, rng, noise, learner = taught()
+    fresh = learner.prior(noise.sigma, np.full(2, 0.3))
+    known = fresh
+    for _ in range(3):
+        known = learner.learn(record(rig, rng, noise)[0], known)[1]
+    count = len(fresh.constants.weight) - 3
+    kept = json.loads(to_text(known))
+    fewer = replace(
+        known.constants, hypotheses=known.constants.hypotheses[:count], weight=known.constants.weight[:count],
+        mean=known.constants.mean[:count], covariance=known.constants.covariance[:count],
+    )  # fmt: skip
+    kept["constants"] = json.loads(to_text(replace(known, constants=fewer)))["constants"]
+    again = from_text(json.dumps(kept), fresh, learner.wire)
+    assert again is not None
+    np.testing.assert_array_equal(again.constants.mean[:count], known.constants.mean[:count])
+    np.testing.assert_array_equal(again.constants.covariance[count:], fresh.constants.covariance[count:])
+    np.testing.assert_array_equal(again.constants.weight[count:], fresh.constants.weight[count:])
+    ratio = again.constants.weight[:count] / known.constants.weight[:count]
+    np.testing.assert_allclose(ratio, ratio[0])
 
 
 def in_decimals(content: Any) -> Any:
@@ -167,9 +189,9 @@ def test_memory_of_the_form_before_is_read_and_what_is_not_finite_is_not_written
     known = learner.learn(record(rig, np.random.default_rng(2), noise)[0], fresh)[1]
     text = to_text(known)
     before = json.dumps(in_decimals(json.loads(text)) | {"version": 1})
-    again = from_text(before, learner.hypotheses, fresh.noise)
+    again = from_text(before, fresh, learner.wire)
     assert again is not None
-    assert to_text(again) == to_text(from_text(text, learner.hypotheses, fresh.noise))  # type: ignore[arg-type]
+    assert to_text(again) == to_text(from_text(text, fresh, learner.wire))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="finite"):
         to_text(replace(known, theta=np.full(4, np.nan)))
 

@@ -12,6 +12,7 @@ from agent.numerics.estimator.outcome import Outcome
 from agent.numerics.estimator.settings import EstimatorSettings
 from agent.numerics.estimator.sliding import SlidingEstimator
 from agent.numerics.model.uncertain import Rig
+from agent.numerics.preprocessing.wire import Wire
 from agent.numerics.window.filtering.hops import HopPlan
 from agent.types import Reason, Status
 from tests.unit.numerics.paper_rig import NOMINAL, PERIOD, rig
@@ -39,7 +40,7 @@ def settings(window: int, hop: int, sigma: float = SIGMA, longer: tuple[int, ...
     return EstimatorSettings(
         rig=statistical, plan=HopPlan(window, hop), longer=longer, sigma=np.full(2, sigma),
         sigma_spread=np.full(2, 0.3), floor=np.full(2, 3e-7), enough_sd=0.033 * NOMINAL,
-        wanted_sd=0.01 * NOMINAL,
+        wanted_sd=0.01 * NOMINAL, wire=Wire.in_si(2),
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from scipy.signal import butter, lfilter
 
 from agent.numerics.preprocessing.rails import resolution, tops
 from agent.numerics.preprocessing.sensor_watch import Finding, SensorWatch
+from agent.numerics.preprocessing.wire import Wire
 from tests.unit.numerics.rigs import FloatArray, noisy, record, sampled
 
 INPUTS, KINDS = np.array([False, False, True]), np.array([0, 0, 1])
@@ -26,8 +27,10 @@ def white(seed: int, samples: int = 12_000) -> FloatArray:
     return noisy(np.random.default_rng(seed), samples, 1e-6).v
 
 
-def watch(v: FloatArray, step: FloatArray | None = None, cut: int = 100) -> list[Finding]:
-    watcher = SensorWatch(INPUTS, np.zeros(3) if step is None else step, WINDOW, KINDS)
+def watch(
+    v: FloatArray, step: FloatArray | None = None, cut: int = 100, wire: Wire | None = None
+) -> list[Finding]:
+    watcher = SensorWatch(INPUTS, np.zeros(3) if step is None else step, WINDOW, KINDS, wire=wire)
     return [found for start in range(0, len(v), cut) for found in watcher.take(v[start : start + cut])]
 
 
@@ -94,7 +97,10 @@ def tones(seed: int) -> FloatArray:
 @pytest.mark.parametrize("seed", range(10))
 def test_watch_of_peaks_just_beyond_a_power_of_ten_finds_nothing(seed: int) -> None:
     """There a table's step is ten times that of readings not much smaller."""
-    assert watch(of_digits(tones(seed), 3)) == []
+    table = of_digits(tones(seed), 3)
+    assert watch(table) == []
+    scaled = Wire(np.full(3, 9.80665), np.array([1.0, -3.0, 0.0]))
+    assert watch(table * scaled.unit + scaled.zero, wire=scaled) == []
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -102,7 +108,7 @@ def test_watch_of_peaks_just_beyond_a_power_of_ten_finds_nothing(seed: int) -> N
 def test_tops_at_a_power_of_ten_are_found_whatever_its_last_bit(power: int, sign: int) -> None:
     into = 0.93 - np.cumsum([0.0, 0.16, 0.17, 0.16, 0.17, 0.16, 0.17, 0.16])[::-1]
     x = np.concatenate([into, np.ones(12), np.full(9, 0.95)]) * float(f"{sign}e{power}")
-    found = tops(x, 1e-3 * 10.0**power)
+    found = tops(x, 1e-3 * 10.0**power, Wire.in_si(1))
     assert [top.value for top in found] == [x[8]]
     assert found[0].beyond == pytest.approx(0.16 * 12 / 0.01, rel=1e-6)
 

@@ -39,6 +39,7 @@ QUICK = (
     (700103, ("one mass", "noise not stated"), 20),
     (950083, ("hum", "force noise"), 20),
     (950140, ("AR sensors", "one output"), 20),
+    (960147, ("one output", "one mass"), 6),
     (15004, ("data sheets",), 8),
     (15007, ("data sheets",), 8),
 )
@@ -53,7 +54,8 @@ else is off, of 30141 readings are so precise that intervals end at what one of 
 700040 a drift hides whose the rest of a scale is, of 820002 all is exact but a mass whose own sensor drifts,
 of 700203 all modes are elsewhere than configured, of 701188 other parameters explain in each window what a
 gain's drift does, of 700103 ten explanations are each straight somewhere else, of 950083 hum stands between
-two bins beside a force that is noisy, of 950140 a mass stands at 3 to 1 where its sensor is off."""
+two bins beside a force that is noisy, of 950140 a mass stands at 3 to 1 where its sensor is off, of 960147 a
+mass and a sensor are off at once, and nothing drifts."""
 
 
 def name_of(kinds: Iterable[str]) -> str:

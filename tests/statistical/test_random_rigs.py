@@ -40,6 +40,7 @@ QUICK = (
     (950083, ("hum", "force noise"), 20),
     (950140, ("AR sensors", "one output"), 20),
     (960147, ("one output", "one mass"), 6),
+    (10003, ("gain drifts", "all masses"), 40),
     (15004, ("data sheets",), 8),
     (15007, ("data sheets",), 8),
 )
@@ -55,7 +56,7 @@ else is off, of 30141 readings are so precise that intervals end at what one of 
 of 700203 all modes are elsewhere than configured, of 701188 other parameters explain in each window what a
 gain's drift does, of 700103 ten explanations are each straight somewhere else, of 950083 hum stands between
 two bins beside a force that is noisy, of 950140 a mass stands at 3 to 1 where its sensor is off, of 960147 a
-mass and a sensor are off at once, and nothing drifts."""
+mass and a sensor are off at once, of 10003 a drift looks like another jump in each window."""
 
 
 def name_of(kinds: Iterable[str]) -> str:

@@ -68,8 +68,8 @@ class OperatingPoint:
         shape: how the constants' mixture differs from one Gaussian.
         unsure: variance of log σ that the misfit allows for.
         scatter: largest factor by which jump statistics are divided.
-        slide, slid: root of what a gain that drifts adds to statistics of jumps by what it does inside a
-            window, and (q,) sd of what it does to parameters.
+        slide, slid: variance that a gain which drifts inside a window adds to scores of jumps, in units of
+            their own, and (q,) sd of what it does to parameters.
         rounding: of the readings that the noise is of; None where it is the same for all.
         slopes: inputs are followed by their slopes.
     """

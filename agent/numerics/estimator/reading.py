@@ -163,9 +163,8 @@ def _jumps(
     if uneven is not None:
         end = windowed.index[at][:, None] + 1
         each = each / uneven.jump(end - samples, end - np.array(windowed.jumps.samples), end)
-    found = each.max(axis=1, initial=0.0) / (np.maximum(1.0, power[at]) * point.scatter)
-    if point.slide > 0:
-        found = np.maximum(np.sqrt(found) - point.slide, 0.0) ** 2
+    # which jump a drift inside this window looks like is not known: it may be the one that is found
+    found = each.max(axis=1, initial=0.0) / (np.maximum(1.0, power[at]) * point.scatter * (1 + point.slide))
     place = np.searchsorted(at, np.arange(len(power)), side="right") - 1
     return np.where(place >= 0, found[np.maximum(place, 0)], before)
 

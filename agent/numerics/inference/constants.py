@@ -1,8 +1,9 @@
 """What is known of the rig's constants: a Gaussian sum over hypotheses, carried from window to window.
 
 Hypotheses: every constant as configured; all within a common factor of their data sheets; one constant, or
-one group (all masses, all outputs, all inputs) off, or drifting. Each carries mean and covariance; the
-window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17 (1972) 439).
+one group (all masses, all outputs, all inputs) off, or drifting; two of these off. Each carries mean and
+covariance; the window's marginal likelihood weighs them (Alspach & Sorenson, IEEE Trans. Automatic Control 17
+(1972) 439).
 """
 
 from dataclasses import dataclass, replace
@@ -93,6 +94,7 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off stands beside all else as configured, and beside all else within its data sheet; a gain that drifts
     beside these, within three times that, and beside whatever may be off, itself too. That a force is held,
     or that a commanded one acts late, stands beside each of the data sheets, and beside what else may be off.
+    Two that may be off stand beside all else as configured.
     """
     timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
     apart = np.array([c.apart for c in constants], dtype=bool)

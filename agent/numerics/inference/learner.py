@@ -38,7 +38,8 @@ class _Tests:
         jump: (cuts,) statistics of jumps;  raw: not divided by the misfit.
         excess, beyond: misfit without and with the best jump, predictive sds.
         power: of the residual, per degree of freedom;  dof: these.
-        slide: root of what a gain that drifts adds to `jump`;  slid: (q,) what it does to the parameters.
+        slide: variance that a gain which drifts adds to the score of a jump, in units of its own;  slid: (q,)
+            what it does to the parameters.
     """
 
     jump: FloatArray
@@ -398,28 +399,25 @@ class Learner:
         fit = at.fitted[1]
         rss = float(at.G[-1, -1] - (at.G[:nb, -1] + at.ridge.b) @ fit)
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
-        raw = self._jumped(at, at.G[:, -1], fit)
-        left = np.maximum([rss, rss - raw.max(initial=0.0)], 1e-300)
+        J, score = self._jump_scores(at, at.G[:, -1], fit)
+        left = np.maximum([rss, rss - quadratic(J, score).max(initial=0.0)], 1e-300)
         expected = chance(at.alike * dof, known.noise.unsure)
         excess, beyond = np.log(left / dof) / expected * bool(known.noise.windows)
         misfit = max(1.0, rss / dof) * max(1.0, float(known.scatter.within.max())) * at.jumps
-        jump = raw / misfit
-        slide = 0.0
-        slid = np.zeros(self.rig.q)
-        if at.slide is not None:
-            by_slide, slid = self._slid(at)
-            jump = np.maximum(np.sqrt(jump) - np.sqrt(by_slide / misfit), 0.0) ** 2
-            raw = np.maximum(np.sqrt(raw) - np.sqrt(by_slide), 0.0) ** 2
-            slide = float(np.sqrt(by_slide / misfit).max(initial=0.0))
+        by_slide, slid = self._slid(at)
+        more = by_slide[:, :, None] * by_slide[:, None]
+        jump, raw = quadratic(misfit[:, None, None] * J + more, score), quadratic(J + more, score)
+        slide = float((quadratic(J, by_slide) / misfit).max(initial=0.0))
         return _Tests(jump, raw, float(excess), float(beyond), rss / dof, dof, slide, slid)
 
     def _slid(self, at: Linearised) -> tuple[FloatArray, FloatArray]:
-        """Score statistics (cuts,) of jumps, and parameters (q,), where a gain changes evenly in a window."""
-        assert at.slide is not None  # noqa: S101 - set by whoever calls
-        layout = at.regression.layout
-        score = at.cells.products(at.Si, at.regression.X[..., :-1], at.slide[..., None])[:, 0]
-        fit = at.fitted[0] @ score[: layout.base]
-        return self._jumped(at, score, fit), at.unit * fit[layout.psi]
+        """What a gain that drifts in a window does to scores of jumps (cuts, q), and to parameters (q,)."""
+        layout, q = at.regression.layout, self.rig.q
+        if at.slide is None:
+            return np.zeros((layout.cuts, q)), np.zeros(q)
+        drift = at.cells.products(at.Si, at.regression.X[..., :-1], at.slide[..., None])[:, 0]
+        fit = at.fitted[0] @ drift[: layout.base]
+        return self._jump_scores(at, drift, fit)[1], at.unit * fit[layout.psi]
 
     def line(self, window: Window, known: Knowledge) -> Line:
         """Return what a window says if its parameters move on and on through it.
@@ -466,18 +464,21 @@ class Learner:
         moves = bool(np.any(np.abs(fit[nb:]) > tuning.AGREE_SD * np.sqrt(np.diag(V)[nb:] * misfit)))
         return Line(said, np.asarray(np.maximum(middle, self.rig.lower)), moves)
 
-    def _jumped(self, at: Linearised, score: FloatArray, fit: FloatArray) -> FloatArray:
-        """Score statistics (cuts,) of jumps of all parameters (Willsky & Jones, IEEE TAC 21 (1976) 108).
+    def _jump_scores(
+        self, at: Linearised, score: FloatArray, fit: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Information (cuts, q, q) of jumps of all parameters, and their scores (cuts, q).
 
-        score: of all columns;  fit (base,): what the base columns take of it.
+        As in Willsky & Jones, IEEE TAC 21 (1976) 108. score: of all columns;  fit (base,): what the base
+        columns take of it.
         """
-        layout, V = at.regression.layout, at.fitted[0]
+        layout, V, q = at.regression.layout, at.fitted[0], self.rig.q
         jumps = [layout.jump(i) for i in range(layout.cuts)]
         if not jumps:
-            return np.zeros(0)
+            return np.zeros((0, q, q)), np.zeros((0, q))
         cross = np.stack([at.G[: layout.base, t].T for t in jumps])
         J = np.stack([at.G[t, t] for t in jumps]) - cross @ V @ cross.transpose(0, 2, 1)
-        return quadratic(J, np.stack([score[t] for t in jumps]) - cross @ fit)
+        return J, np.stack([score[t] for t in jumps]) - cross @ fit
 
     def _ratio(self, at: Linearised) -> FloatArray:
         """Jackknife ratio (q,) of this window."""

@@ -79,8 +79,8 @@ class Posterior:
         excess: predictive standard deviations by which the residual's power is too large;  beyond_jump: the
             same of what the best jump leaves.
         changing: a jump fits beyond what chance allows.
-        slide: root of what a gain that drifts adds to `jump` by what it does inside the window;  slid: (q,)
-            sd of what it does to the parameters, in `sd` and `sd_repeat`.
+        slide: variance that a gain which drifts inside the window adds to the score of a jump, in units of
+            the score's own;  slid: (q,) sd of what it does to the parameters, in `sd` and `sd_repeat`.
         dof: degrees of freedom of the residual.
         rubs: dry friction that the model has no term for is evident, and moves an estimate by more than its
             sd.

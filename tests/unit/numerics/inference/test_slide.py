@@ -62,6 +62,12 @@ def test_a_slide_is_a_jump_unless_a_drift_is_believed() -> None:
     assert not solved("x1 drifts", size).changing
 
 
+@pytest.mark.parametrize("steps", [1.0, 2.0, 4.0])
+def test_a_slide_of_more_than_its_walk_counts_by_the_square_of_it(steps: float) -> None:
+    size = believed("x1 drifts").constants.slide[1]
+    assert solved("x1 drifts", steps * size).jump.max() < max(steps**2, 4.0)
+
+
 def test_what_a_slide_does_to_the_parameters_is_in_their_sds() -> None:
     known = believed("x1 drifts")
     size = known.constants.slide[1]

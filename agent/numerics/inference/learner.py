@@ -198,7 +198,7 @@ class Learner:
             return False
         layout, response = at.regression.layout, at.cells.response
         gain = Regressor(self.rig, response, self.sources, known.eta).output_gain
-        more = columns(response, at.regression.states, self.rig.rubbings, gain)
+        more = columns(response, at.regression.states * self.rig.sizes, self.rig.rubbings, gain)
         misfit = max(1.0, float(known.scatter.within.max()))
         own = at.cells.gram(at.Si, more).diagonal()
         cross = at.cells.products(at.Si, at.regression.X, more)

@@ -5,7 +5,7 @@ into the sampled model that observer and estimator use.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -56,6 +56,14 @@ class StateSpace:
     def q(self) -> int:
         """Number of parameters."""
         return len(self.dA)
+
+    def in_units(self, sizes: FloatArray) -> "StateSpace":
+        """Return the same model of states x / sizes (n,)."""
+        into, out = sizes[:, None], sizes
+        return replace(
+            self, A=self.A * out / into, B=self.B / into, C=self.C * out,
+            dA=self.dA * out / into, dB=self.dB / into, dC=self.dC * out,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

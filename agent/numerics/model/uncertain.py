@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.linalg import matrix_balance
 
 from agent.numerics.model.holds import curvature, lateness, sample, straight, taps
 from agent.numerics.model.statespace import Discrete, Hold, Model, StateSpace, discretise
@@ -100,6 +102,17 @@ class Rig:
     white: bool = False
     rubbings: tuple[Rubbing, ...] = ()
 
+    @cached_property
+    def sizes(self) -> FloatArray:
+        """(n,) units of the states in which they are alike in size, powers of two.
+
+        In metres and metres a second the matrices of a fast mode have entries as far apart as the square of
+        its frequency, and what is small beside others would be taken for nothing.
+        """
+        A = self.model.continuous(self.model.nominal).A
+        _, (sizes, _) = matrix_balance(A, permute=False, separate=True)
+        return np.asarray(sizes, dtype=np.float64)
+
     @property
     def masses(self) -> int:
         """Number of masses among the constants."""
@@ -140,6 +153,8 @@ class Rig:
 @dataclass(frozen=True, slots=True)
 class Sampled:
     """Sampled model at a point, x(k+1) = A x + B u + E f, y = C x + D u + F f (shifted state: `discretise`).
+
+    States are in the rig's `sizes`.
 
     With a polynomial hold u is stacked: the m inputs at sample k, then the driven ones at k + o for each of
     the rig's shifts; the state is then the physical one as to the driven inputs, and shifted as to the others
@@ -198,7 +213,7 @@ def unit_of(rig: Rig, theta: FloatArray) -> FloatArray:
 def sampled(rig: Rig, theta: FloatArray, log_mass: FloatArray, delays: FloatArray | None = None) -> Sampled:
     """Return the sampled model at θ (q,), masses nominal · exp(log_mass), and delays (see `delays_of`)."""
     mass = rig.model.nominal[rig.q :] * np.exp(log_mass)
-    continuous = rig.model.continuous(np.concatenate([theta, mass]))
+    continuous = rig.model.continuous(np.concatenate([theta, mass])).in_units(rig.sizes)
     discrete = discretise(continuous, rig.period_s, straight(rig.hold))
     model = discrete.model
     B, D, dB, dD = _stacked(rig, continuous, model)

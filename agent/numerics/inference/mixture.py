@@ -28,7 +28,7 @@ def interval95(weight: FloatArray, mean: FloatArray, sd: FloatArray) -> tuple[Fl
         above = weight @ ndtr((middle[:, None] - mean) / sd) > level
         low, high = np.where(above, low, middle), np.where(above, middle, high)
     found = 0.5 * (low + high)
-    standing = ends[weight >= STANDING_WEIGHT]
+    standing = ends[weight >= STANDING_WEIGHT * weight.max()]
     lower = np.minimum(found[0], standing[:, 0].min(axis=0, initial=np.inf))
     upper = np.maximum(found[1], standing[:, 1].max(axis=0, initial=-np.inf))
     return lower, upper

@@ -11,9 +11,10 @@ SIGMA_UNKNOWN = 1.0
 DIGITS = 1e-7
 """Least σ as a share of a signal's spread: 23 bits, more than a sensor has. Needed by: no noise at all."""
 STANDING_WEIGHT = 0.1
-"""An interval holds 95 % under each hypothesis of at least this weight. Needed by: both masses +10 %."""
+"""An interval holds 95 % under each hypothesis that stands: of at least this share of the likeliest's weight.
+Needed by: both masses +10 %, rig 8805."""
 
-POSSIBLE = 0.001
+POSSIBLE = 0.01
 """Weight, of the likeliest's, from which a window is made straight at a hypothesis. Needed by: rig 8805."""
 NEAR = 0.1
 """Twice the log evidence that neglected terms of second order may cost a hypothesis in a window, about where

@@ -93,3 +93,17 @@ def test_explanations_that_data_hardly_tell_apart_share_their_probability(odds: 
     found = {b.label: b.probability for b in beliefs(replace(prior, weight=weight), CONSTANTS)}
     assert (found["m1"] == pytest.approx(found["x1"])) is tied
     assert found["m1"] + found["x1"] == pytest.approx(1.0)
+
+
+def test_two_that_are_off_at_once_count_once_where_explanations_tie() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    share = {"m1": 0.4, "x1": 0.4, "m1 and x1": 0.1}
+    level = [h.level == "as configured" and not h.drifts for h in prior.hypotheses]
+    weight = np.array([
+        share.get(h.name, 0.0) if exact else 0.0 for h, exact in zip(prior.hypotheses, level, strict=True)
+    ])  # fmt: skip
+    weight[0] = 0.1  # nothing is off
+    found = {b.label: b.probability for b in beliefs(replace(prior, weight=weight), CONSTANTS)}
+    # either is off with 0.5 by itself; that one of them is, with 0.9
+    assert found["m1"] == pytest.approx(0.45)
+    assert found["x1"] == pytest.approx(0.45)

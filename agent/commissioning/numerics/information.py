@@ -51,7 +51,7 @@ def window_information(discrete: Discrete, x0: FloatArray, u: FloatArray, sigma:
 def predicted_sd(rig: Rig, x0: FloatArray, u: FloatArray, sigma: FloatArray) -> PredictedSd:
     """Return a window's expected sds at nominal; x0 (n,) shifted state, u (W, m) measured inputs, in SI."""
     at = sampled(rig, rig.nominal, np.zeros(rig.masses))
-    states = _run(at.A, (u @ at.B.T)[None], x0[None])[0]
+    states = _run(at.A, (u @ at.B.T)[None], (x0 / rig.sizes)[None])[0]
     columns = _parameters(at.A, at.C, (at.dA, at.dB, at.dC, at.dD), states, u)
     sensors = [_sensor(rig, at, constant, states, u) for constant in rig.constants[rig.masses :]]
     whole = np.concatenate([columns, np.array(sensors).reshape(-1, *columns.shape[1:])])

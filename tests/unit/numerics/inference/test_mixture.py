@@ -29,3 +29,13 @@ def test_mixture_holds_the_interval_of_every_part_that_stands() -> None:
     lower, upper = interval95(weight, mean, sd)
     assert lower[0] <= -1.95
     assert upper[0] >= 11.95
+
+
+def test_part_stands_by_its_share_of_the_likeliest_however_many_others_there_are() -> None:
+    weight = np.array([0.3, 0.08, *[0.062] * 10])
+    mean = np.array([0.0, 10.0, *np.zeros(10)])[:, None]
+    sd = np.ones_like(mean)
+    _, upper = interval95(weight, mean, sd)
+    assert upper[0] == pytest.approx(10 + 1.96, abs=0.01)
+    unlikely = np.array([0.9, 0.08, *[0.002] * 10])
+    assert interval95(unlikely, mean, sd)[1][0] < 11.5

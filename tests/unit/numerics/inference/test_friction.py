@@ -1,10 +1,18 @@
 """Whether one more column is evident: against least squares by hand."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from agent.numerics.inference.friction import Friction, frictions
+from agent.numerics.inference.friction import Friction, columns, frictions
+from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.spectral.algebra import inverse
+from agent.numerics.inference.spectral.response import Response
+from agent.numerics.model.uncertain import Rubbing
+from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
+from tests.unit.numerics.inference.frequency import W, record
 
 SIZE = 0.7
 
@@ -51,3 +59,25 @@ def test_friction_column_that_the_model_has_already_is_no_evidence(
         found = weighed(gram)
         assert found.evidence == -np.inf
         assert found.size == 0
+
+
+def test_friction_is_sought_by_motions_in_metres(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """States are in units of one size elsewhere; displacements are what is read."""
+    chain = ChainRig(masses=(0.5, 40.0), springs=(2000.0, 300.0))
+    across = Rubbing(np.array([1.0, -1.0, 0.0, 0.0]), np.array([1.0, -1.0]))
+    learner = Learner(replace(chain.rig, rubbings=(across,)), W, 2, np.zeros(2))
+    assert len(set(learner.rig.sizes.tolist())) > 1
+    seen = []
+
+    def asked(response: Response, states: np.ndarray, *others: Any) -> np.ndarray:
+        seen.append(np.fft.irfft(states, W, axis=0) * np.sqrt(W))
+        return columns(response, states, *others)
+
+    monkeypatch.setattr("agent.numerics.inference.learner.columns", asked)
+    noise = DenseNoise(np.array([1e-5, 1e-5]), np.zeros(2))
+    window = record(chain, rng, noise)[0]
+    learner.learn(window, learner.prior(noise.sigma, np.full(2, 0.3)))
+    apart = (seen[-1][:, 2:] - window.y)[10:-10]
+    assert np.abs(apart).max() < 0.1 * np.abs(window.y).max()

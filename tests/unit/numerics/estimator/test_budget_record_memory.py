@@ -14,6 +14,7 @@ from agent.numerics.estimator.schedule import budget_of, samples_an_evaluation
 from agent.numerics.estimator.tuning import BURST, EVALUATIONS_A_WINDOW, FIRST, SPARE
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.noise.state import Noise
+from agent.numerics.inference.posterior import Knowledge
 from tests.unit.numerics.inference.chain import ChainRig, DenseNoise
 from tests.unit.numerics.inference.frequency import learner_of, record
 
@@ -104,12 +105,19 @@ def taught() -> tuple[ChainRig, np.random.Generator, DenseNoise, Learner]:
     return rig, np.random.default_rng(2), noise, learner_of(rig)
 
 
+def known_after(
+    windows: int, rig: ChainRig, rng: np.random.Generator, noise: DenseNoise, learner: Learner
+) -> tuple[Knowledge, Knowledge]:
+    """What is known before any window, and after so many."""
+    fresh = known = learner.prior(noise.sigma, np.full(2, 0.3))
+    for _ in range(windows):
+        known = learner.learn(record(rig, rng, noise)[0], known)[1]
+    return fresh, known
+
+
 def test_memory_round_trip_gives_the_same_answers() -> None:
     rig, rng, noise, learner = taught()
-    known = learner.prior(noise.sigma, np.full(2, 0.3))
-    fresh = known
-    for _ in range(5):
-        known = learner.learn(record(rig, rng, noise)[0], known)[1]
+    fresh, known = known_after(5, rig, rng, noise, learner)
     again = from_text(to_text(known), fresh, learner.wire)
     assert again is not None
     window = record(rig, rng, noise)[0]
@@ -153,10 +161,7 @@ def test_memory_of_other_constants_or_an_earlier_program_is_not_taken() -> None:
 
 def test_hypotheses_that_an_earlier_program_did_not_have_begin_with_their_priors() -> None:
     rig, rng, noise, learner = taught()
-    fresh = learner.prior(noise.sigma, np.full(2, 0.3))
-    known = fresh
-    for _ in range(3):
-        known = learner.learn(record(rig, rng, noise)[0], known)[1]
+    fresh, known = known_after(3, rig, rng, noise, learner)
     count = len(fresh.constants.weight) - 3
     kept = json.loads(to_text(known))
     fewer = replace(

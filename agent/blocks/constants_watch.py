@@ -129,14 +129,14 @@ class ConstantsWatch:
 
 
 def _cause(belief: Belief) -> str:
-    if belief.kind in ("mass", "delay"):
+    if belief.kind in ("mass", "delay", "cubic"):
         return belief.kind
     return "drift" if belief.drifts else "gain"
 
 
 def words(belief: Belief, period_s: float) -> str:
     """Return a belief as a sentence for people."""
-    says = {"delay": _delay_words, "mass": _mass_words}.get(belief.kind, _gain_words)
+    says = {"delay": _delay_words, "mass": _mass_words, "cubic": _cubic_words}.get(belief.kind, _gain_words)
     return f"{says(belief, period_s)} (probability {belief.probability:.2f})"
 
 
@@ -144,6 +144,7 @@ _HINTS = {
     "delay": 'state delay_s, or hold = "zero" where the command is held',
     "mass": "correct model.mass",
     "gain": "calibrate the channel, or correct its scale",
+    "cubic": "estimates are of its stiffness where it is hardly extended",
 }
 _COMMANDED_LATE = "state as much as delay_s of the outputs"
 _COMMANDED_EARLY = 'set hold = "first" where the force is measured and runs on between samples'
@@ -165,6 +166,13 @@ def _mass_words(belief: Belief, _: float) -> str:
 def _gain_words(belief: Belief, _: float) -> str:
     verb = "read" if belief.name.startswith("all") else "reads"
     return f"{belief.name} {verb} {_amount(belief)} than it should{' and drifts' if belief.drifts else ''}"
+
+
+def _cubic_words(belief: Belief, _: float) -> str:
+    name = belief.name.removesuffix(" cubic")
+    how, stiffer = ("hardens", "stiffer") if belief.size > 0 else ("softens", "less stiff")
+    share = f"{number(abs(100 * belief.size), 3)} ± {number(100 * belief.sd, 2)} % {stiffer}"
+    return f"{name} {how}: {share} at an extension of {number(1e3 * belief.extension, 3)} mm than at none"
 
 
 def _amount(belief: Belief) -> str:

@@ -18,7 +18,8 @@ from agent.config import RigConfig
 from agent.config.domains.plant import Domain
 from agent.config.model.tables import MechanicsModel
 from agent.numerics.estimator.settings import EstimatorSettings
-from agent.numerics.inference.tuning import CURVE_SHEET, CURVED_A_PERIOD, DELAY_SHEET
+from agent.numerics.inference.tuning import CURVE_SHEET, CURVED_A_PERIOD, DELAY_SHEET, OFF_CUBIC
+from agent.numerics.model.cubic import Cubic, WithCubics
 from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
 from agent.numerics.model.identifiability import identifiability
 from agent.numerics.model.mechanics import GROUND, MassSpringDamper
@@ -31,6 +32,8 @@ from agent.types import FloatArray, IntArray
 PHYSICAL = ("mass", "spring", "damper", "friction", "element", "storage")
 NEEDED = ("mass", "element", "storage")
 """Kinds of parameters that stay above 0: equations are divided by them."""
+SHOWN = 1e-9
+"""Fixed by rounding: share of an extension that outputs may miss."""
 
 
 @dataclass(frozen=True)
@@ -292,6 +295,50 @@ def _rubbings(config: RigConfig, pushed: _Pushed) -> tuple[Rubbing, ...]:
     return tuple(out)
 
 
+def with_cubics(config: RigConfig, rig: Rig) -> Rig:
+    """Let springs harden or soften whose extension displacements show, between places that weigh.
+
+    None beside polynomial holds, whose inputs enter at several readings.
+    """
+    pushed = _pushed(config, rig_model(config).model)
+    cubics = _cubics(config, pushed) if not rig.shifts else ()
+    if not cubics:
+        return rig
+    total = rig.model.continuous(rig.model.nominal).m
+    constants = [Constant(f"{c.name} cubic", "cubic", i, OFF_CUBIC) for i, c in enumerate(cubics)]
+    return replace(
+        rig, model=WithCubics(rig.model, rig.pushed, cubics), cubics=cubics,
+        measured=np.append(rig.measured, total + np.arange(len(cubics))),
+        driven=np.append(rig.driven, np.zeros(len(cubics), dtype=bool)),
+        constants=(*rig.constants, *constants),
+    )  # fmt: skip
+
+
+def _cubics(config: RigConfig, pushed: _Pushed) -> tuple[Cubic, ...]:
+    """Springs between places that weigh, whose extensions follow from displacements that are measured."""
+    if not isinstance(config.model, MechanicsModel) or not pushed.pushes:
+        return ()
+    states, places = pushed.model.state_names, pushed.pushes
+    seen = np.array([float(c.quantity == "displacement") for c in config.outputs])
+    displacements = pushed.model.continuous(pushed.model.nominal).C * seen[:, None]
+    shows = np.linalg.pinv(displacements)
+    found = []
+    for spring in config.model.spring:
+        across, push = np.zeros(len(states)), np.zeros(len(places))
+        ends = [
+            (node, sign) for node, sign in zip(spring.between, (1.0, -1.0), strict=True) if node != GROUND
+        ]
+        if not (spring.nominal > 0 and all(node in places for node, _ in ends)):
+            continue
+        for node, sign in ends:
+            across[states.index(f"displacement of {node}")] += sign
+            push[places.index(node)] -= sign
+        extension = across @ shows
+        if np.allclose(extension @ displacements, across, rtol=0.0, atol=SHOWN):
+            found.append(Cubic(spring.name, extension, push, spring.nominal))
+    return tuple(found)
+
+
 def _is_white(config: RigConfig) -> bool:
     """Whether the configuration denies unknown forces: the record is explained as a whole."""
     return config.estimator.observer.process_sd == 0
@@ -348,8 +395,9 @@ def estimator_settings(config: RigConfig, resolution: FloatArray) -> EstimatorSe
     sigma, floor = output_noise(config, resolution)
     plan = hop_plan(config)
     limits = np.where(built.limits > 0, built.limits, np.inf)
+    rig = with_cubics(config, statistical_rig(config))
     return EstimatorSettings(
-        rig=statistical_rig(config), plan=HopPlan(plan.window, plan.hop), longer=longer_windows(config, plan),
+        rig=rig, plan=HopPlan(plan.window, plan.hop), longer=longer_windows(config, plan),
         sigma=sigma, sigma_spread=np.array([c.noise_sd_spread for c in config.outputs]), floor=floor,
         enough_sd=config.estimator.resolve * limits, wanted_sd=0.1 * limits, wire=wire_of(config.outputs),
     )  # fmt: skip

@@ -1,12 +1,13 @@
 """Windows of recordings: how long they are, and what all of them say together."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import pi
 
 import numpy as np
 
 from agent.blocks.rig_model import rig_model
-from agent.blocks.statistical_rig import estimator_settings
+from agent.blocks.statistical_rig import estimator_settings, statistical_rig
 from agent.commissioning.explained import windows_of
 from agent.commissioning.identification.material import no_piece, noise_of_sensors
 from agent.commissioning.numerics.motion.pooled import Pooled, pooled
@@ -97,6 +98,7 @@ def windowed(
     }
     config = begun.model_copy(update={"estimator": begun.estimator.model_copy(update=update)})
     settings = estimator_settings(config, np.zeros(len(config.outputs)))
+    settings = replace(settings, rig=statistical_rig(config))  # springs are straight until they are watched
     columns = len(settings.rig.measured)
     windows = []
     for record in records:

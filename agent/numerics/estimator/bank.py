@@ -65,7 +65,7 @@ class Bank:
         point, plan, rig = self.point, self._settings.plan, self._settings.rig
         assert point is not None  # noqa: S101 - placed before
         longer = [(samples - plan.head) // plan.hop for samples in self._settings.longer]
-        taps = taps_of(rig, self._settings.outputs, point.slopes)
+        taps = taps_of(rig, self._settings.outputs, point.inputs, point.slopes)
         self._stream = Stream(point.model, point.push, point.noise, plan, longer, rig.q, taps)
         self.run_again(record, newest)
 
@@ -102,7 +102,8 @@ class Bank:
         if stop <= self._fed:
             return False
         samples = record.samples_with_slopes if point.slopes else record.samples
-        stream.append(self._fed, samples(self._fed, stop), self._lost_until(record, stop))
+        fed = samples(self._fed, stop, point.inputs)
+        stream.append(self._fed, fed, self._lost_until(record, stop))
         self._fed = stop
         return True
 

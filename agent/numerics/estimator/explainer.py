@@ -77,6 +77,7 @@ class Explainer:
         self._counted = 0
         self._owed = False  # a window that was due to be learnt from waits for the budget
         self._moves = False  # the newest window looked at holds parameters that run on
+        self._hardens = -np.inf  # log odds of springs that do, against changes, in the window last solved
         self._ran_at = -(1 << 60)
         self._since_anew = VERDICT_WINDOWS  # windows learnt from since noise was looked for anew
         self._beliefs: list[tuple[int, tuple[Belief, ...]]] = []
@@ -100,7 +101,7 @@ class Explainer:
     def adopt(self, content: str) -> None:
         """Begin with what an earlier run learnt, where it is of the same rig and window."""
         fresh = self.learner.prior(np.ones(self.settings.outputs), np.ones(self.settings.outputs))
-        self.known = from_text(content, fresh, self.learner.wire)
+        self.known = from_text(content, fresh, self.learner.wire, len(self.settings.rig.cubics))
         self._adopted = self.known is not None
 
     def take_beliefs(self) -> tuple[tuple[int, tuple[Belief, ...]], ...]:
@@ -161,7 +162,7 @@ class Explainer:
         self.faults.learnt(window)
         constants = self.settings.rig.constants
         if constants and min(learnt.noise.windows, self._since_anew) >= VERDICT_WINDOWS:
-            self._beliefs.append((newest, beliefs(learnt.constants, constants)))
+            self._beliefs.append((newest, beliefs(learnt.constants, constants, learnt.stretch)))
         self._since_anew += 1
 
     def _sigma(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -336,8 +337,13 @@ class Explainer:
         assert known is not None  # noqa: S101 - known since the first window
         self.solved += 1
         window = self.window(record, newest)[0]
-        posterior, at = self.learner.solve(window, self._known_at(known, newest))
+        now = self._known_at(known, newest)
+        posterior, at = self.learner.solve(window, now)
         self._last = (window, posterior)
+        self._hardens = -np.inf
+        if not posterior.holds:
+            lasting = self._since(newest) >= LASTS * self.settings.plan.window
+            self._hardens = self.learner.hardens(at, now, lasting=lasting)
         rests = posterior.holds
         same = rests and self._is_the_same(posterior)
         if (not same and self._is_a_channel(record, window, newest, at.theta, rests)) or not rests:
@@ -397,15 +403,15 @@ class Explainer:
             return True
         return self._explain_otherwise(record, newest)
 
-    def _follows(self, record: Record, newest: int) -> bool:
-        """Learn the constants from a broken window; return whether it holds with them."""
+    def _follows(self, record: Record, newest: int, *, hard: bool = False) -> bool:
+        """Learn the constants from a broken window, springs if they harden; return whether it holds then."""
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
         window = self._last[0]
         later = max(self._later(newest), 1.0)
-        learnt = self.learner.learn(window, known, believe=True, later=later)[1]
+        learnt = self.learner.learn(window, known, believe=True, later=later, hard=hard or None)[1]
         said = self.learner.solve(window, learnt)[0]
-        if not said.holds:
+        if not said.holds or (hard and not learnt.constants.believes(self.settings.rig.of_kind("cubic"))):
             return False
         self.faults.over(newest)
         self._take(record, window, said, learnt, newest)
@@ -432,17 +438,30 @@ class Explainer:
         self.schedule.follow(newest)
 
     def _explain_otherwise(self, record: Record, newest: int) -> bool:
-        """Explain a window no other parameters fit by lines, or a whole window after onset by other noise."""
+        """Explain a window no other parameters fit by springs that harden, by lines, or by other noise."""
         disturbance, length = self.disturbance, self.settings.plan.window
         window, posterior = self._last
-        early = newest - (disturbance.onset or newest) < (LASTS if posterior.jumps_once else 1) * length
         if self.faults.standing is not None:  # it is looked at again a window later
             disturbance.wait(newest + length)
-        if early or self.faults.is_active or not posterior.converged:
+        if self.faults.is_active or not posterior.converged:
             return False
-        if self._runs_on(window, newest):
+        if self._hardens > 0 and self._springs(record, newest, 1.0):
+            return True
+        lasts = LASTS if posterior.jumps_once else 1.0
+        if self._since(newest) < lasts * length or self._runs_on(window, newest):
             return False
+        if self._springs(record, newest, lasts):
+            return True
         return self._relearn(record, window, posterior, newest, jumps=self._may_jump(posterior, newest))
+
+    def _springs(self, record: Record, newest: int, windows: float) -> bool:
+        """Explain a window by springs that harden, broken for so many windows: what jumped is behind then."""
+        lasting = self._since(newest) >= windows * self.settings.plan.window
+        return self._hardens > -np.inf and lasting and self._follows(record, newest, hard=True)
+
+    def _since(self, newest: int) -> int:
+        """Samples since rows broke; 0 where they are not broken."""
+        return newest - (self.disturbance.onset or newest)
 
     def _may_jump(self, posterior: Posterior, newest: int) -> bool:
         """Whether a jump may break a window: not where rows are broken for long and no line explains them.

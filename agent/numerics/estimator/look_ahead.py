@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.numerics.model.cubic import cubed
 from agent.numerics.model.sensors import with_constant
 from agent.numerics.model.uncertain import Rig
 from agent.types import BoolArray, FloatArray
@@ -44,7 +45,9 @@ class LookAhead:
         self, index: int, y: FloatArray, u: FloatArray, missing: BoolArray | None, suspect: BoolArray | None
     ) -> Ready:
         """Take consecutive samples y (N, p), u (N, m), from number `index` on; return those complete now."""
-        u = with_constant(u, len(self._rig.measured))
+        cubics = self._rig.cubics
+        u = with_constant(u, len(self._rig.measured) - len(cubics))
+        u = np.hstack([u, cubed(y, cubics)]) if cubics else u
         if not self._rig.shifts:
             return Ready(index, y, u, missing, suspect)
         width = y.shape[1] + len(self._rig.measured)

@@ -47,19 +47,23 @@ def to_text(known: Knowledge) -> str:
             "within": _packed(scatter.within), "between": _packed(scatter.between), "dof": scatter.dof,
             "compared": scatter.compared,
         },
-    }  # fmt: skip
+    } | ({} if known.stretch is None else {"stretch": _packed(known.stretch)})  # fmt: skip
     return json.dumps(content, sort_keys=True, allow_nan=False)
 
 
-def from_text(content: str, fresh: Knowledge, wire: Wire) -> Knowledge | None:
+def from_text(content: str, fresh: Knowledge, wire: Wire, cubics: int = 0) -> Knowledge | None:
     """Return knowledge from its text; None where it is of another version or of other sizes than `fresh`.
 
-    wire: what outputs come in.
+    wire: what outputs come in;  cubics: how many of the last constants earlier programs did not have.
     """
     found = json.loads(content)
     if found.get("version") not in {_BEFORE, VERSION}:
         return None
-    if (constants := _constants_of(found["constants"], fresh.constants)) is None:
+    eta = _array(found["eta"])
+    later = len(fresh.eta) - len(eta)
+    if later not in {0, cubics}:
+        return None
+    if (constants := _constants_of(found["constants"], fresh.constants, len(eta))) is None:
         return None
     if found.get("footing") is None:  # earlier programs did not keep it
         return None
@@ -76,24 +80,27 @@ def from_text(content: str, fresh: Knowledge, wire: Wire) -> Knowledge | None:
     sizes = [(one.log_sigma.shape, one.intensity.shape) for one in (noise, fresh.noise)]
     if sizes[0] != sizes[1]:
         return None
-    eta = _array(found["eta"])
     scatter = Scatter(_array(s["within"]), _array(s["between"]), s["dof"], s["compared"])
-    known = Knowledge(_array(found["theta"]), eta, noise, constants, scatter, found["kept"])
-    return replace(known, footing=_footing_of(found["footing"], len(eta)))
+    known = Knowledge(
+        _array(found["theta"]), np.pad(eta, (0, later)), noise, constants, scatter, found["kept"]
+    )
+    stretch = found.get("stretch")
+    footing = _footing_of(found["footing"], len(fresh.eta))
+    return replace(known, footing=footing, stretch=None if stretch is None else _array(stretch))
 
 
-def _constants_of(kept: dict[str, Any], first: Constants) -> Constants | None:
-    """Return what was known of constants; hypotheses that an earlier program did not have begin anew."""
+def _constants_of(kept: dict[str, Any], first: Constants, size: int) -> Constants | None:
+    """Return what was known of the first `size` constants; what earlier programs did not have begins anew."""
     names = kept["names"]
     count = len(names)
-    size = first.mean.shape[1]
-    covariance = _array(kept["covariance"])
-    if [h.name for h in first.hypotheses[:count]] != names or covariance.size != count * size**2:
+    old = _array(kept["covariance"])
+    if [h.name for h in first.hypotheses[:count]] != names or old.size != count * size**2:
         return None
     weight = np.concatenate([(1 - first.weight[count:].sum()) * _array(kept["weight"]), first.weight[count:]])
-    mean = np.concatenate([_array(kept["mean"]).reshape(count, size), first.mean[count:]])
-    known = np.concatenate([covariance.reshape(count, size, size), first.covariance[count:]])
-    return Constants(first.hypotheses, weight, mean, known)
+    mean, covariance = first.mean.copy(), first.covariance.copy()
+    mean[:count, :size] = _array(kept["mean"]).reshape(count, size)
+    covariance[:count, :size, :size] = old.reshape(count, size, size)
+    return Constants(first.hypotheses, weight, mean, covariance)
 
 
 def _footing(footing: Footing) -> dict[str, object]:
@@ -102,7 +109,8 @@ def _footing(footing: Footing) -> dict[str, object]:
 
 def _footing_of(kept: dict[str, Any], constants: int) -> Footing:
     information = _array(kept["information"])
-    return Footing(information, _array(kept["sensitivity"]).reshape(len(information), constants))
+    sensitivity = _array(kept["sensitivity"]).reshape(len(information), -1)
+    return Footing(information, np.pad(sensitivity, ((0, 0), (0, constants - sensitivity.shape[1]))))
 
 
 def _rounding(rounding: Rounding) -> dict[str, object]:

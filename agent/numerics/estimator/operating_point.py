@@ -32,7 +32,7 @@ from agent.numerics.model.uncertain import (
     unit_of,
 )
 from agent.numerics.window.filtering.noise import Coloured, Line, NoiseModel, Push
-from agent.types import FloatArray
+from agent.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +72,8 @@ class OperatingPoint:
             their own, and (q,) sd of what it does to parameters.
         rounding: of the readings that the noise is of; None where it is the same for all.
         slopes: inputs are followed by their slopes.
+        inputs: how many of the measured inputs it takes: without springs' cubes as long as springs are
+            believed to be straight.
     """
 
     model: StateSpace
@@ -90,6 +92,7 @@ class OperatingPoint:
     slid: FloatArray
     rounding: Rounding | None
     slopes: bool
+    inputs: int
 
 
 def operating_point(
@@ -112,19 +115,23 @@ def operating_point(
     theta = np.maximum(shifted(known.theta, sensitivity @ (eta - known.eta)), rig.lower)
     noise = known.noise
     at = sampled(rig, theta, eta[: rig.masses], delays_of(rig, eta))
-    seen = _Seen(rig, eta, at)
+    seen = _Seen(rig, eta, at, known.stretch)
     base = seen.model(at.A, at.B, at.C, at.D)
     columns = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q)]
     constants = [seen.parameter(at.dA[i], at.dB[i], at.dC[i], at.dD[i]) for i in range(rig.q, len(at.dA))]
     constants += [seen.sensor(i, base) for i in range(rig.masses, len(rig.constants))]
     kinds = [c.kind if c.sheet > 0 else "exact" for c in rig.constants]
     scales = scales_of(base, columns, constants, kinds)
-    directions, turn = _directions(rig, known, scales.constants)
+    is_open = _open(rig, known)
+    directions, turn = _directions(known, is_open, scales.constants)
     along = sensitivity @ directions / at.unit[:, None]
     both = np.concatenate([along, directions])
     columns += [combined([*columns, *constants], direction) for direction in both.T]
     dA, dB, dC, dD = (np.stack(part) for part in zip(*columns, strict=True))
-    model = StateSpace(*base, dA, dB, dC, dD)
+    used, inputs = _used(rig, is_open, base[1].shape[1])
+    model = StateSpace(
+        base[0], base[1][:, used], base[2], base[3][:, used], dA, dB[..., used], dC, dD[..., used]
+    )
     push = Push(at.E, seen.output_gain[:, None] * at.F)
     learnt = bank_noise(known, sources, window, len(rig.pushed))
     unseen = ((scales.parameters @ turn) ** 2).sum(axis=1)
@@ -132,20 +139,22 @@ def operating_point(
         model, along, unseen, push, learnt, theta, at.unit, sharpest / at.unit, wider, shape,
         noise.unsure, max(1.0, float(known.scatter.within.max())), posterior.slide, posterior.slid,
         noise.rounding,
-        at.late is not None,
+        at.late is not None, inputs,
     )  # fmt: skip
 
 
-def taps_of(rig: Rig, outputs: int, slopes: bool) -> list[list[tuple[int, int, float]]]:
-    """Return where each channel, outputs then inputs, enters the bank's samples (`window.lost.Taps`)."""
-    m = len(rig.driven)
+def taps_of(rig: Rig, outputs: int, inputs: int, slopes: bool) -> list[list[tuple[int, int, float]]]:
+    """Return where each channel, outputs then inputs, enters the bank's samples (`window.lost.Taps`).
+
+    inputs: how many of the measured ones the bank takes.
+    """
     each: list[list[tuple[int, int, float]]] = [[(0, column, 1.0)] for column in range(outputs)]
-    for number in range(len(rig.measured)):
+    for number in range(inputs):
         # an input that no channel drives has one tap
         shifts = zip((0, *rig.shifts), (rig.taps_of(number) + outputs).tolist(), strict=False)
         entries = [(-shift, column, 1.0) for shift, column in shifts]
         if slopes:
-            entries += [(o + k, column + m, 1.0 - 2 * k) for o, column, _ in entries for k in (0, 1)]
+            entries += [(o + k, column + inputs, 1.0 - 2 * k) for o, column, _ in entries for k in (0, 1)]
         each.append(entries)
     return each
 
@@ -153,9 +162,11 @@ def taps_of(rig: Rig, outputs: int, slopes: bool) -> list[list[tuple[int, int, f
 class _Seen:
     """The sampled model as it is seen through gains at η."""
 
-    def __init__(self, rig: Rig, eta: FloatArray, at: Sampled) -> None:
-        self.rig, self.at = rig, at
+    def __init__(self, rig: Rig, eta: FloatArray, at: Sampled, stretch: FloatArray | None) -> None:
+        self.rig, self.at, self.stretch = rig, at, stretch
         self.output_gain, self.input_gain = gains_of(rig, eta, at)
+        for number, size in enumerate(() if stretch is None else stretch.tolist()):
+            self.input_gain[rig.cubic_input(number)] /= size
 
     def model(
         self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
@@ -178,6 +189,11 @@ class _Seen:
         elif constant.kind == "input":
             columns = columns_of(self.rig, constant.number, self.at)
             dB[:, columns], dD[:, columns] = B[:, columns], D[:, columns]
+        elif constant.kind == "cubic":
+            j = self.rig.cubic_input(constant.number)
+            assert self.stretch is not None  # noqa: S101 - since the first window
+            dB[:, j] = self.at.B[:, j] / self.stretch[constant.number]
+            dD[:, j] = self.output_gain * self.at.D[:, j] / self.stretch[constant.number]
         elif (curve := self.at.curve) is not None and constant.number == CURVED:
             n = len(A)
             dC = self.output_gain[:, None] * curve[:, :n]
@@ -193,18 +209,37 @@ class _Seen:
         return dA, dB, dC, dD
 
 
-def _directions(rig: Rig, known: Knowledge, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return combinations (c, r) of the constants, of unit prior each, beside those that no reading shows.
+def _open(rig: Rig, known: Knowledge) -> BoolArray:
+    """(c,) constants that are not known exactly.
 
-    None of those that are known exactly, as outputs' lateness is as long as they are believed to be read at
-    once. scales (c, k): what no reading shows; times what comes second (k, k) these have unit priors too.
+    So outputs' lateness is as long as they are believed to be read at once, and springs' cubes as long as all
+    are believed to be straight.
+    """
+    at_once = np.sqrt(np.diag(known.constants.standing[1])) < IN_TIME
+    is_straight = not known.constants.believes(rig.of_kind("cubic"))
+    return np.array([
+        c.sheet > 0 and not (c.is_lag and exact) and not (c.kind == "cubic" and is_straight)
+        for c, exact in zip(rig.constants, at_once, strict=True)
+    ], dtype=bool)  # fmt: skip
+
+
+def _used(rig: Rig, is_open: BoolArray, columns: int) -> tuple[BoolArray, int]:
+    """Return which columns of the inputs and slopes the bank takes, and how many of the measured inputs."""
+    m = len(rig.measured)
+    used = np.ones(columns, dtype=bool)
+    if not rig.cubics or is_open[rig.of_kind("cubic")].any():
+        return used, m
+    straight = m - len(rig.cubics)
+    used[straight:m] = used[m + straight :] = False
+    return used, straight
+
+
+def _directions(known: Knowledge, is_open: BoolArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return combinations (c, r) of the open constants, of unit prior each, beside what no reading shows.
+
+    scales (c, k): what no reading shows; times what comes second (k, k) these have unit priors too.
     """
     P = known.constants.standing[1]
-    at_once = np.sqrt(np.diag(P)) < IN_TIME
-    is_open = np.array([
-        constant.sheet > 0 and not (constant.is_lag and exact)
-        for constant, exact in zip(rig.constants, at_once, strict=True)
-    ], dtype=bool)  # fmt: skip
     root = _root(P[np.ix_(is_open, is_open)])
     count = scales.shape[1]
     turned, turn = np.linalg.qr(np.linalg.solve(root, scales[is_open]), mode="complete")

@@ -64,15 +64,16 @@ class Record:
         """Return u of samples [start, stop)."""
         return self._v[start - self.first : stop - self.first, self.p :]
 
-    def samples(self, start: int, stop: int) -> FloatArray:
-        """Return y and u of samples [start, stop), side by side."""
-        return self._v[start - self.first : stop - self.first]
+    def samples(self, start: int, stop: int, inputs: int | None = None) -> FloatArray:
+        """Return y and u, or the first `inputs` of it, of samples [start, stop), side by side."""
+        width = None if inputs is None else self.p + inputs
+        return self._v[start - self.first : stop - self.first, :width]
 
-    def samples_with_slopes(self, start: int, stop: int) -> FloatArray:
-        """Return y, u and u's change since the sample before, side by side; 0 for the stretch's first."""
-        u = self.inputs(start, stop)
-        before = self.inputs(start - 1, start) if start > self.first else u[:1]
-        return np.hstack([self.samples(start, stop), np.diff(u, axis=0, prepend=before)])
+    def samples_with_slopes(self, start: int, stop: int, inputs: int | None = None) -> FloatArray:
+        """Return the same and the inputs' change since the sample before; 0 for the stretch's first."""
+        u = self.inputs(start, stop)[:, :inputs]
+        before = self.inputs(start - 1, start)[:, :inputs] if start > self.first else u[:1]
+        return np.hstack([self.samples(start, stop, inputs), np.diff(u, axis=0, prepend=before)])
 
     def lost_in(self, index: IntArray, window: int) -> IntArray:
         """Return how many samples (N,) with lost readings the windows that end at samples `index` hold."""

@@ -270,7 +270,8 @@ class SlidingEstimator:
         refused, confirmed = self.explainer.doubts.decide(due, found)
         self._spikes += refused
         for (sample, channel), change in confirmed.items():
-            entries = taps_of(self.settings.rig, self.settings.outputs, slopes=False)[channel]
+            rig = self.settings.rig
+            entries = taps_of(rig, self.settings.outputs, len(rig.measured), slopes=False)[channel]
             record.restore(sample, entries, channel, change)
         if confirmed:
             self.explainer.bank.run_again(record, newest)

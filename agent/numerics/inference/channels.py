@@ -292,7 +292,7 @@ class ChannelTest:
         """(kept, p) the residual where a channel reads 1 too little, 1/2 of what it should, 1 late."""
         response, p = at.cells.response, self._learner.p
         kept = response.bins.kept
-        regressor = Regressor(self._rig, response, self._learner.sources, known.eta)
+        regressor = Regressor(self._rig, response, self._learner.sources, known.eta, stretch=known.stretch)
         if channel < p:
             out = np.zeros((kept, p), dtype=complex)
             out[:, channel] = self._signal(at, regressor, window, kind, channel)

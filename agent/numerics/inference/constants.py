@@ -15,13 +15,16 @@ import numpy as np
 from agent.numerics.inference import tuning
 from agent.numerics.inference.information import Information, Update
 from agent.numerics.model.uncertain import Constant, Kind
-from agent.types import BoolArray, FloatArray
+from agent.types import BoolArray, FloatArray, IntArray
 
 GROUPS: tuple[tuple[Kind, str], ...] = (
     ("mass", "all masses"),
     ("output", "all outputs"),
     ("input", "all inputs"),
 )
+
+APART: tuple[Kind, ...] = ("delay", "cubic")
+"""Kinds that are no scales: neither masses nor gains."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +97,8 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     off stands beside all else as configured, and beside all else within its data sheet; a gain that drifts
     beside these, within three times that, and beside whatever may be off, itself too. That a force is held,
     or that a commanded one acts late, stands beside each of the data sheets, and beside what else may be off.
-    Two that may be off stand beside all else as configured.
+    Two that may be off stand beside all else as configured. Springs that harden or soften, each alone and all
+    of them, stand beside each of the data sheets.
     """
     timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
     apart = np.array([c.apart for c in constants], dtype=bool)
@@ -123,7 +127,8 @@ def hypotheses_of(constants: tuple[Constant, ...]) -> tuple[Hypothesis, ...]:
     drifts = _drifts(constants, drifting, [*wider, *exact], odds)
     alone = [h for h in (*stills, *drifts) if len(h.off) == 1]
     both = [h.with_off(*late) for late in lasting for h in alone]
-    return tuple(every + still + drifts + both + _two(constants, sets, timely[0], each))
+    two = _two(constants, sets, timely[0], each)
+    return tuple(every + still + drifts + both + two + _cubics(constants, timely))
 
 
 def _two(
@@ -136,6 +141,20 @@ def _two(
         healthy.with_off(*one, each).with_off(*other, each)
         for one, other in combinations(scales, 2)
         if not one[0].members @ other[0].members
+    ]
+
+
+def _cubics(constants: tuple[Constant, ...], beside: list[Hypothesis]) -> list[Hypothesis]:
+    """Springs that harden or soften, one of them or all, each by itself, beside hypotheses."""
+    unit = np.eye(len(constants))
+    each = [(Off(c.name, unit[i]),) for i, c in enumerate(constants) if c.kind == "cubic"]
+    sets = [*each, sum(each, ())] if len(each) > 1 else each
+    odds = tuning.PRIOR_CUBIC / max(len(sets), 1)
+    spread = tuning.OFF_CUBIC**2 * np.array([np.diag(sum(o.members for o in which)) for which in sets])
+    return [
+        replace(h, off=which, covariance=h.covariance + more, prior=odds * h.prior)
+        for which, more in zip(sets, spread, strict=True)
+        for h in beside
     ]
 
 
@@ -163,12 +182,15 @@ def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
 
     What is so or not of a force is a hypothesis of its own: in these it runs as configured.
     """
-    timed = np.array([c.kind == "delay" for c in constants], dtype=bool)
+    timed = np.array([c.kind in {"delay", "cubic"} for c in constants], dtype=bool)
     binary = np.array([c.is_binary for c in constants], dtype=bool)
     late = any(c.kind == "delay" and c.shows and not c.is_binary and c.sheet > 0 for c in constants)
-    # inputs are in time, and outputs are read at one instant
-    in_time = np.where([c.is_lag for c in constants], tuning.AT_ONCE, tuning.AS_CONFIGURED)
-    times = ((in_time, 0.0, 1.0), (np.ones(len(constants)), 1.0, tuning.PRIOR_LATE))
+    # inputs are in time, outputs are read at one instant, and springs are straight
+    closed = np.array([c.kind == "cubic" for c in constants], dtype=bool)
+    lags = np.array([c.is_lag for c in constants], dtype=bool)
+    in_time = np.where(lags | closed, tuning.AT_ONCE, tuning.AS_CONFIGURED)
+    as_late = np.where(closed, tuning.AT_ONCE, 1.0)
+    times = ((in_time, 0.0, 1.0), (as_late, 1.0, tuning.PRIOR_LATE))
     # what comes along with a delay is open as wide where inputs may be late as where they are
     along = np.array([tuning.OFF_DELAY / max(c.sheet, 1e-9) * _comes_along(c) for c in constants])
     return [
@@ -224,19 +246,19 @@ def _spread(constants: tuple[Constant, ...], off: Off, kind: Kind) -> FloatArray
 def apart_of(constants: tuple[Constant, ...]) -> FloatArray:
     """Return the matrix (c, c) that takes from deviations the mean of those of their kind; delays stay."""
     kinds = np.array([c.kind for c in constants])
-    alike = (kinds[:, None] == kinds) & (kinds != "delay")
+    alike = (kinds[:, None] == kinds) & ~np.isin(kinds, APART)
     return np.asarray(np.eye(len(constants)) - alike / np.maximum(alike.sum(axis=1), 1)[:, None])
 
 
 def farthest(constants: tuple[Constant, ...], moved: FloatArray) -> FloatArray:
     """Largest share (h,) by which masses and gains moved (h, c), beyond what all of their kind did."""
-    scales = np.array([c.kind != "delay" for c in constants], dtype=bool)
+    scales = np.array([c.kind not in APART for c in constants], dtype=bool)
     return np.asarray(np.abs((moved @ apart_of(constants))[:, scales]).max(axis=1, initial=0.0))
 
 
 def _sets(constants: tuple[Constant, ...]) -> list[tuple[Off, Kind]]:
     """Each constant that may be off by itself, with its kind, then groups that may together."""
-    can = np.array([c.sheet > 0 and c.shows for c in constants], dtype=bool)
+    can = np.array([c.sheet > 0 and c.shows and c.kind != "cubic" for c in constants], dtype=bool)
     unit = np.eye(len(constants))
     sets = [(Off(c.name, unit[i]), c.kind) for i, c in enumerate(constants) if can[i] and not _comes_along(c)]
     for kind, name in GROUPS:
@@ -319,6 +341,11 @@ class Constants:
         """(h,) hypotheses that stand: all but those that are unlikely beside the likeliest."""
         return np.asarray(self.weight >= tuning.STANDING_WEIGHT * self.weight.max())
 
+    def believes(self, which: IntArray) -> bool:
+        """Whether a hypothesis stands that has any of some constants, by their numbers, off."""
+        standing = (h for h, stands in zip(self.hypotheses, self.stands.tolist(), strict=True) if stands)
+        return any(off.members[which].any() for h in standing for off in h.off)
+
     @cached_property
     def standing(self) -> tuple[FloatArray, FloatArray]:
         """Mean (c,) and covariance (c, c) of the hypotheses that stand: what is unlikely moves no estimate.
@@ -369,6 +396,18 @@ class Constants:
         both = update.weight.reshape(2, count)
         way = np.arange(count) + count * (both[1] > both[0])
         return Constants(self.hypotheses, both.sum(axis=0), update.mean[way], update.covariance(way))
+
+    def rescaled(self, factor: FloatArray) -> "Constants":
+        """Return the same in other units of the constants, which count `factor` (c,) as much in them.
+
+        What data say little of is no wider there than it was before any.
+        """
+        prior = np.sqrt(np.diagonal(_arrays(self.hypotheses).covariance, axis1=1, axis2=2))
+        sd = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        by = np.minimum(factor, np.maximum(prior / sd, 1.0))
+        return replace(
+            self, mean=self.mean * by, covariance=self.covariance * by[:, :, None] * by[:, None, :]
+        )
 
     @property
     def _begun(self) -> "Constants":

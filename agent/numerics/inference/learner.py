@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants, apart_of, farthest, hypotheses_of
 from agent.numerics.inference.friction import columns, frictions
+from agent.numerics.inference.hardening import changing, hardening, opened
 from agent.numerics.inference.information import Information, Update
 from agent.numerics.inference.linearise import Linearised, Lineariser
 from agent.numerics.inference.mixture import NORMAL_975, interval95
@@ -21,7 +22,7 @@ from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge
 from agent.numerics.inference.noise.state import Noise, chance, louder
 from agent.numerics.inference.posterior import Knowledge, Line, Posterior, neglected, shifted
 from agent.numerics.inference.scatter import Estimate, Scatter, block_grams, block_ratio, widened
-from agent.numerics.inference.spectral.algebra import inverse, quadratic
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant, quadratic
 from agent.numerics.inference.spectral.columns import Regressor, Window
 from agent.numerics.inference.spectral.sources import sources_of
 from agent.numerics.inference.tuning import FIRM, LOOKS_AN_EVALUATION, NOISE_PASS
@@ -115,11 +116,13 @@ class Learner:
         shaken: bool = False,
         believe: bool = False,
         later: float = 1.0,
+        hard: bool | None = None,
     ) -> tuple[Posterior, Knowledge]:
         """Return what a window says and what is known after it; a window that changes teaches nothing.
 
         shaken: σ may have changed more than usual. believe: it holds no change, whatever the jump test says.
-        later: windows since the one before it that was learnt from.
+        later: windows since the one before it that was learnt from. hard: whether springs may harden while
+        its noise is learnt; the window says so if not said.
         """
         before = known.noise.rounding
         known = self.lineariser.prepared(window, _met(window, known, self.wire))
@@ -132,7 +135,8 @@ class Learner:
         if (self._jumps(tests.jump) and not believe) or not at.converged:
             return self._posterior(at, predicted), known
         for _ in range(tuning.ROUNDS):
-            noise, settled = self._noise_after(window, at, predicted, shaken or known.unexplained, shaken)
+            again = shaken or known.unexplained
+            noise, settled, hard = self._noise_after(window, at, predicted, again, shaken, hard)
             update = known.constants.switching(later, self._information(settled, predicted))
             constants = known.constants.switched(update)
             moved = (
@@ -209,20 +213,49 @@ class Learner:
         )
 
     def _noise_after(
-        self, window: Window, at: Linearised, known: Knowledge, shaken: bool, anew: bool
-    ) -> tuple[Noise, Linearised]:
-        """The noise learnt from a linearised window, and the window under it."""
+        self, window: Window, at: Linearised, known: Knowledge, shaken: bool, anew: bool, hard: bool | None
+    ) -> tuple[Noise, Linearised, bool]:
+        """The noise learnt from a linearised window, and the window under it.
+
+        hard: whether springs may harden meanwhile; None where the window is to say so. What comes last says
+        whether they did.
+        """
         # what nothing known explains may be a constant that is off, rather than forces
-        spread = self.lineariser.wide() if anew else known.constants.total
-        centre = -known.eta if anew else known.constants.expected - known.eta
+        if anew:
+            noise, fit = self._noise_within(
+                window, at, known, self.lineariser.wide(known.constants), -known.eta, shaken, anew
+            )
+            return noise, self.lineariser.without_jumps(at, window, noise, fit), False
+        centre = known.constants.expected - known.eta
+        straight = self.lineariser.spread(known.constants)
+        bent = self.lineariser.spread(known.constants, self.rig.of_kind("cubic"))
+        noise, fit = self._noise_within(window, at, known, bent if hard else straight, centre, shaken, anew)
+        settled = self.lineariser.without_jumps(at, window, noise, fit)
+        if hard is not None or not self._may_harden(settled, known):
+            return noise, settled, bool(hard)
+        # forces take most of what a spring that hardens does: with a noise of its own for each they compare
+        other, other_fit = self._noise_within(window, at, known, bent, centre, shaken, anew)
+        price = 0.5 * float(log_determinant(bent) - log_determinant(straight))
+        gain = other_fit.restricted_log_likelihood() - fit.restricted_log_likelihood() - price
+        hardened = self.lineariser.without_jumps(at, window, other, other_fit)
+        believed = known.constants.updated(self._information(hardened, known))
+        rival = max(-np.log(tuning.PRIOR_CUBIC), changing(at, self._temper(at, known)))
+        if gain < rival or not believed.believes(self.rig.of_kind("cubic")):
+            return noise, settled, False
+        return other, hardened, True
+
+    def _noise_within(
+        self, window: Window, at: Linearised, known: Knowledge, spread: FloatArray, centre: FloatArray,
+        shaken: bool, anew: bool,
+    ) -> tuple[Noise, NoiseFit]:  # fmt: skip
+        """The noise learnt with the constants within N(centre, spread) of where they are linearised."""
         wide = self.lineariser.ridge(at.regression.layout, window, spread, centre)
         wide = wide if anew else _steady(at, wide, known)
         least = self._least(known.noise)
         lined = with_lines(known.noise, at.cells, at.regression)
         noise, fit = learn(lined, at.cells, at.regression, self.sources, wide, at.ridge, least, shaken, anew)
         self._count(fit)
-        noise = replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window)))
-        return noise, self.lineariser.without_jumps(at, window, noise, fit)
+        return replace(noise, log_sigma=np.maximum(noise.log_sigma, self._floor(window))), fit
 
     def _floor(self, window: Window) -> FloatArray:
         """(p,) least log σ: what the wire resolves, or more digits than any sensor has."""
@@ -282,15 +315,42 @@ class Learner:
         found = V @ (at.G[: layout.base, -1] + pull)
         return found[layout.gaps], V[layout.gaps, layout.gaps]
 
+    def hardens(self, at: Linearised, known: Knowledge, *, lasting: bool) -> float:
+        """Log odds by which springs that harden explain a window better than parameters that change in it.
+
+        -inf where they do not explain it. lasting: windows are broken for longer than one jump is in the way.
+        """
+        if not self.rig.cubics:
+            return -np.inf
+        temper = self._temper(at, known)
+        evidence = hardening(self.lineariser, at, known, temper)
+        every = opened(self.lineariser, at, known, self.rig.of_kind("cubic"))
+        explained = self._tests(every, known).excess <= tuning.EXPLAINED_SD
+        if evidence < tuning.HARD_EVIDENCE or not explained:
+            return -np.inf
+        return evidence - changing(at, temper, jumps=not lasting)
+
+    def _may_harden(self, at: Linearised, known: Knowledge) -> bool:
+        """Whether springs that harden are asked for with a noise of their own; in first windows always.
+
+        Where unknown forces take what such springs do a window hardly says so: now and then it is asked too.
+        """
+        if not self.rig.cubics:
+            return False
+        windows = known.noise.windows
+        often = windows < tuning.SETTLED or windows % tuning.SELDOM == 0
+        return often or hardening(self.lineariser, at, known, self._temper(at, known)) > 0
+
     def contested(self, window: Window, known: Knowledge, posterior: Posterior) -> bool:
         """Whether a change of the noise explains a window as well as a jump of the parameters does."""
         known = _of(window, known)
         at = self.lineariser.linearised(window, known, jumps=False)
-        wide = self.lineariser.ridge(at.regression.layout, window, self.lineariser.wide(), -known.eta)
+        wide = self.lineariser.ridge(
+            at.regression.layout, window, self.lineariser.wide(known.constants), -known.eta
+        )
         before, fit = self._open_minded(at, known, wide)
         gain = fit.restricted_log_likelihood() - before
-        q, dof = self.rig.q, posterior.dof
-        price = 0.5 * q * np.log(dof) + np.log(len(self.cuts))
+        price = 0.5 * self.rig.q * np.log(posterior.dof) + np.log(len(self.cuts))
         return bool(gain > 0.5 * posterior.jump_raw.max() - price)
 
     def other_noise(self, window: Window, known: Knowledge) -> Noise:
@@ -395,9 +455,8 @@ class Learner:
     def _tests(self, at: Linearised, known: Knowledge) -> _Tests:
         """Whether a window holds a change, and whether what is known explains it."""
         layout = at.regression.layout
-        nb = layout.base
         fit = at.fitted[1]
-        rss = float(at.G[-1, -1] - (at.G[:nb, -1] + at.ridge.b) @ fit)
+        rss = at.left
         dof = float(at.cells.weight.sum() * self.p - layout.n - layout.q)
         J, score = self._jump_scores(at, at.G[:, -1], fit)
         left = np.maximum([rss, rss - quadratic(J, score).max(initial=0.0)], 1e-300)

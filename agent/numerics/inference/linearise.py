@@ -7,12 +7,13 @@ from functools import cached_property
 import numpy as np
 
 from agent.numerics.inference import tuning
+from agent.numerics.inference.constants import Constants
 from agent.numerics.inference.noise.restricted_likelihood import NoiseFit, Ridge, layout_free
 from agent.numerics.inference.noise.rounding import Rounding, RoundingErrors, reference
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Footing, Knowledge, Place, shifted
 from agent.numerics.inference.scatter import by_repeats
-from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant, refined, scales, shown
 from agent.numerics.inference.spectral.bins import bins_of
 from agent.numerics.inference.spectral.columns import Layout, Regression, Regressor, Window
 from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of, real_gram
@@ -20,6 +21,7 @@ from agent.numerics.inference.spectral.ends import Ends
 from agent.numerics.inference.spectral.response import Response
 from agent.numerics.inference.spectral.sources import Source, directions, spectra
 from agent.numerics.inference.tuning import ALL_BINS, MOST_BINS
+from agent.numerics.model.cubic import extensions
 from agent.numerics.model.uncertain import Rig, Sampled, delays_of, sampled, unit_of
 from agent.numerics.preprocessing.rows import rows_with
 from agent.types import ComplexArray, FloatArray, IntArray
@@ -61,6 +63,18 @@ class Linearised:
         nb = self.regression.layout.base
         V = inverse(self.G[:nb, :nb] + self.ridge.R)
         return V, V @ (self.G[:nb, -1] + self.ridge.b)
+
+    @property
+    def left(self) -> float:
+        """Power that the base columns leave of the readings, and of where the prior has them."""
+        b = self.G[: self.regression.layout.base, -1] + self.ridge.b
+        return float(self.G[-1, -1] - b @ self.fitted[1])
+
+    @property
+    def log_precision(self) -> float:
+        """Log determinant of the precision of the base columns' deviations."""
+        nb = self.regression.layout.base
+        return float(log_determinant(self.G[:nb, :nb] + self.ridge.R))
 
     @cached_property
     def _alone(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -133,7 +147,12 @@ class Lineariser:
         self.most: float = np.inf
 
     def prepared(self, window: Window, known: Knowledge) -> Knowledge:
-        """Return what is known with the bins to keep chosen, to be linearised where the constants are now."""
+        """Return what is known with the bins to keep chosen, to be linearised where the constants are now.
+
+        Cubes of springs are shares of their stiffness at the widest extensions so far.
+        """
+        if self.rig.cubics:
+            known = known.stretched(_stretch(window, self.rig), self.rig.of_kind("cubic"))
         mean = known.constants.expected
         far = np.abs(mean - known.eta) > self.eta_tolerance()
         known = replace(known, eta=mean) if far.any() else known
@@ -323,7 +342,8 @@ class Lineariser:
         """The columns of a window at theta (q,), under the noise of another point, and their units (q,)."""
         self.evaluations += 1
         response = self._at(theta, known, known.kept)
-        regressor = Regressor(self.rig, response, self.sources, known.eta, at.regression.layout.lasting)
+        lasting = at.regression.layout.lasting
+        regressor = Regressor(self.rig, response, self.sources, known.eta, lasting, known.stretch)
         no_cuts = np.zeros(0, dtype=np.int64)
         columns = regressor.build(window, lambda X: at.cells.gram(at.Si, X), no_cuts, whole=False)
         return columns, response.at.unit
@@ -336,7 +356,7 @@ class Lineariser:
         G[-1, -1] += HighPower(response, regression.high, noise.levels).quadratic(Si)
         constants = known.constants
         ridge = self.ridge(
-            regression.layout, window, constants.total, constants.expected - known.eta, noise.intensity
+            regression.layout, window, self.spread(constants), constants.expected - known.eta, noise.intensity
         )
         changes = int(np.count_nonzero(rows_with(np.diff(window.y, axis=0) != 0)))
         repeats = float(by_repeats(changes, self.window))
@@ -355,7 +375,7 @@ class Lineariser:
         self.evaluations += 1
         response = self._at(theta, known, known.kept)
         lasting = known.noise.lasting(self.sources)
-        regressor = Regressor(self.rig, response, self.sources, known.eta, lasting)
+        regressor = Regressor(self.rig, response, self.sources, known.eta, lasting, known.stretch)
         cells = self._sources_at(response, regressor.output_gain)
         noise = known.noise
         Si = inverse_of(cells.covariance(noise.white, noise.levels, noise.intensity))
@@ -416,11 +436,34 @@ class Lineariser:
         """(q,) sd of the point's prior; none for what is nominally 0, whose size says nothing."""
         return np.where(self.rig.nominal == 0, np.inf, tuning.POINT_SD * unit_of(self.rig, anchor))
 
-    def wide(self) -> FloatArray:
-        """Return the constants' prior (c, c) while the noise is learnt: as far off as any of them may be."""
-        sizes = [tuning.OFF_DELAY if c.kind == "delay" else tuning.OFF_RELATIVE for c in self.rig.constants]
-        known = np.array([c.sheet > 0 for c in self.rig.constants], dtype=bool)
-        return np.diag(np.where(known, sizes, 1e-6) ** 2) if sizes else np.zeros((0, 0))
+    def wide(self, constants: Constants) -> FloatArray:
+        """Return the constants' prior (c, c) while the noise is learnt: as far off as any of them may be.
+
+        Springs are as straight as they are believed to be.
+        """
+        off = [tuning.OFF_DELAY if c.kind == "delay" else tuning.OFF_RELATIVE for c in self.rig.constants]
+        sizes = np.where([c.sheet > 0 for c in self.rig.constants], off, 1e-6)
+        cubic = self.rig.of_kind("cubic")
+        mean, P = constants.standing
+        sizes[cubic] = np.hypot(mean, np.sqrt(np.diag(P)))[cubic]
+        return np.diag(sizes**2)
+
+    def spread(self, constants: Constants, hard: IntArray | None = None) -> FloatArray:
+        """Return the constants' prior (c, c) in a window: the mixture's, springs as far as hypotheses stand.
+
+        A spring that hardly any hypothesis has harden would else take a little of all that happens. hard:
+        springs, by their constants, that may harden or soften besides.
+        """
+        total = constants.total
+        cubic = self.rig.of_kind("cubic")
+        if not len(cubic):
+            return total
+        share = np.ones(len(total))
+        share[cubic] = np.sqrt(np.minimum(np.diag(constants.standing[1])[cubic] / np.diag(total)[cubic], 1.0))
+        spread = total * np.outer(share, share)
+        if hard is not None:
+            spread[hard, hard] += tuning.OFF_CUBIC**2
+        return spread
 
     def ridge(
         self,
@@ -514,7 +557,7 @@ class Lineariser:
         ladder = np.unique(np.round(np.geomspace(10, top, 24)).astype(np.int64))
         layout = regression.layout
         least = 2 * layout.n + 4
-        priors = self._priors(layout, window)
+        priors = self._priors(layout, window, known)
         grams = _running(regression.X[..., :-1], cells, Si, ladder)
         most = (1 + tuning.INFORMATION_LOSS) * _sd_of(layout, grams[-1], priors)
 
@@ -526,9 +569,14 @@ class Lineariser:
         best = int(ladder[min(rung, len(ladder) - 1)])
         return total if best > 0.8 * total else best
 
-    def _priors(self, layout: Layout, window: Window) -> FloatArray:
-        """Prior precisions of the base columns with constants as good as given, then at their data sheet."""
-        sheet = np.array([max(c.sheet, 1e-6) for c in self.rig.constants])
+    def _priors(self, layout: Layout, window: Window, known: Knowledge) -> FloatArray:
+        """Prior precisions of the base columns with constants as good as given, then at their data sheet.
+
+        Springs are as they are believed to be.
+        """
+        believed = np.sqrt(np.diag(self.spread(known.constants))).tolist()
+        each = zip(self.rig.constants, believed, strict=True)
+        sheet = np.maximum([sd if c.kind == "cubic" else c.sheet for c, sd in each], 1e-6)
         none = np.full(len(self.sources), 1e-150)
         spreads = [np.diag((share * sheet) ** 2) for share in (0.1 * tuning.AS_CONFIGURED, 1.0)]
         ridges = [self.ridge(layout, window, P, np.zeros(len(sheet)), none).R for P in spreads]
@@ -546,6 +594,12 @@ def _running(X: ComplexArray, cells: Cells, Si: ComplexArray, ladder: IntArray) 
         out.append(total)
         start = stop
     return out
+
+
+def _stretch(window: Window, rig: Rig) -> FloatArray:
+    """Return the mean square (s,) of each spring's extension, m²; 1 of one that does not move."""
+    square = (extensions(window.y, rig.cubics) ** 2).mean(axis=0)
+    return np.where(square > 0, square, 1.0)
 
 
 def _improbable(known: Knowledge) -> float:

@@ -1,6 +1,6 @@
 """What is carried from window to window, and what one window says."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.constants import Constants
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.scatter import Scatter
-from agent.types import FloatArray
+from agent.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,8 @@ class Knowledge:
             then.
         unexplained: the newest window was not explained by the noise known before.
         place: where the newest window was linearised; None before the first.
+        stretch: (s,) mean squares of extension at which springs' cubes are shares of their stiffness, m²;
+            None of a rig without such springs, and before the first window.
     """
 
     theta: FloatArray
@@ -62,6 +64,28 @@ class Knowledge:
     unexplained: bool = False
     footing: Footing | None = None
     place: Place | None = None
+    stretch: FloatArray | None = None
+
+    def stretched(self, squares: FloatArray, cubic: IntArray) -> "Knowledge":
+        """Return the same where a window's mean square extensions (s,) are what springs' cubes count by.
+
+        cubic: (s,) their constants. Only of springs that go far beyond what was so far: a cube is known there
+        as it was, or not at all.
+        """
+        if self.stretch is None:
+            return replace(self, stretch=squares)
+        wider = squares > tuning.WIDER * self.stretch
+        if not wider.any():
+            return self
+        factor = np.ones(len(self.eta))
+        factor[cubic[wider]] = (squares / self.stretch)[wider]
+        footing = self.footing
+        if footing is not None:
+            footing = replace(footing, sensitivity=footing.sensitivity / factor)
+        return replace(
+            self, stretch=np.where(wider, squares, self.stretch), eta=self.eta * factor, footing=footing,
+            constants=self.constants.rescaled(factor), scatter=self.scatter.rescaled(factor), place=None,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,13 @@ class Scatter:
             self.between, differences
         )
 
+    def rescaled(self, factor: FloatArray) -> "Scatter":
+        """Return the same in other units of the constants, which count `factor` (c,) as much in them."""
+        last = tuple(
+            replace(one, sensitivity=one.sensitivity / factor, eta=one.eta * factor) for one in self.last
+        )
+        return replace(self, last=last)
+
     def interrupted(self) -> "Scatter":
         """Return the belief after a change or a gap: the windows before it do not compare."""
         return replace(self, last=())

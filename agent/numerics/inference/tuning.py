@@ -40,6 +40,18 @@ OFF_RELATIVE = 0.3
 """Prior sd of a mass or gain that is "off". Needed by: m2 −20 %."""
 OFF_DELAY = 1.0
 """Prior sd of a delay that is "off", samples. Needed by: held but hold = "first" (half a sample)."""
+OFF_CUBIC = 0.1
+"""Prior sd of by how much a spring hardens, share of its stiffness at the first window's rms extension.
+Needed by: springs that harden by 5 %."""
+HARD_EVIDENCE = 10.0
+"""Log evidence from which a broken window is learnt from in case springs harden. Cost only."""
+SETTLED, SELDOM = 4, 8
+"""First windows in which springs that harden are looked for with a noise of their own; and of later ones, in
+which nothing hints at them, one in so many. Needed by: one mass, k1 +10 %."""
+WIDER = 4.0
+"""Ratio of mean square extensions from which the cube of a spring counts by the wider one."""
+PRIOR_CUBIC = 0.01
+"""Prior odds that springs harden or soften, against straight ones. Needed by: springs that harden by 5 %."""
 DRIFT_WALKS = (0.0007, 0.005)
 """Random walks a window of a gain that "drifts", slowly or fast. Needed by: sensor y1 drifting 5 %."""
 PRIOR_DRIFTS = 0.003

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.constants import Constants, Hypothesis
+from agent.numerics.inference.constants import APART, Constants, Hypothesis
 from agent.numerics.model.uncertain import Constant
 from agent.types import BoolArray, FloatArray, IntArray
 
@@ -18,11 +18,12 @@ class Belief:
     """One statement about the constants.
 
     Attributes:
-        name: what is off: "m1", "all masses", "x1", "delay" of the inputs, "x1 late".
+        name: what is off: "m1", "all masses", "x1", "delay" of the inputs, "x1 late", "k1 cubic".
         drifts: whether it changes from window to window.
-        kind: "mass", "output", "input" or "delay".
+        kind: "mass", "output", "input", "delay" or "cubic".
         probability: posterior.
-        size, sd: how far it is off and how well that is known: a share (0.05: 5 % larger), or samples.
+        size, sd: how far it is off and how well that is known: a share (0.05: 5 % larger), or samples; of a
+            spring by which share it is stiffer at `extension`, the widest rms so far, m.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Belief:
     probability: float
     size: float
     sd: float
+    extension: float = 0.0
 
     @property
     def label(self) -> str:
@@ -45,8 +47,8 @@ class _Statements:
     Attributes:
         row: (n,) hypothesis;  same: (n,) which of (s,) it says, those of each in a row.
         share: (n, c) of the mean of what is off that each constant has.
-        drifts, relative: (n,) whether it drifts; whether it is a share and not samples.
-        least: (n,) below which it is not worth a word.
+        drifts, relative: (n,) whether it drifts; whether it is a logarithm and no share or samples.
+        asked: (n,) whether its size has to be worth a word;  least: (n,) below which it is not.
         each: (s,) name, whether it drifts and kind of what is said;  starts: (s,) the first place of each.
     """
 
@@ -55,6 +57,7 @@ class _Statements:
     share: FloatArray
     drifts: BoolArray
     relative: BoolArray
+    asked: BoolArray
     least: FloatArray
     each: tuple[tuple[str, bool, str], ...]
     starts: IntArray
@@ -76,16 +79,22 @@ def _statements(hypotheses: tuple[Hypothesis, ...], of: tuple[Constant, ...]) ->
     return _Statements(
         np.array([row for _, row, _ in said], dtype=np.int64), same,
         members / members.sum(axis=1, keepdims=True),
-        drifting[same], np.array([one.kind != "delay" for one in first], dtype=bool),
+        drifting[same], np.array([one.kind not in APART for one in first], dtype=bool),
+        drifting[same] | np.array([one.kind == "cubic" for one in first], dtype=bool),
         tuning.WORTH_NAMING * np.array([one.sheet for one in first]),
         tuple(ways), np.searchsorted(same, np.arange(len(ways))),
     )  # fmt: skip
 
 
-def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
+def beliefs(
+    constants: Constants, of: Sequence[Constant], stretch: FloatArray | None = None
+) -> tuple[Belief, ...]:
     """Return a belief for each hypothesis that something is off; of (c,): the constants.
 
-    What drifts within a share of its data sheet is no drift worth a word, however surely it is one.
+    stretch: (s,) mean square extensions, m², at which springs' cubes are shares of their stiffness.
+
+    What drifts within a share of its data sheet is no drift worth a word, however surely it is one; nor is a
+    spring that hardens by as little.
     """
     said = _statements(constants.hypotheses, tuple(of))
     size = (said.share * constants.mean[said.row]).sum(axis=1)
@@ -95,8 +104,13 @@ def beliefs(constants: Constants, of: Sequence[Constant]) -> tuple[Belief, ...]:
     size = np.where(said.relative, np.expm1(size), size)
     spread = np.maximum(sd, 1e-300)
     larger = ndtr((-said.least - size) / spread) + ndtr((size - said.least) / spread)
-    probability = constants.weight[said.row] * np.where(said.drifts, larger, 1.0)
-    return tuple(_shared(_together(said, probability, size, sd), constants))
+    probability = constants.weight[said.row] * np.where(said.asked, larger, 1.0)
+    found = _shared(_together(said, probability, size, sd), constants)
+    springs = {c.name: c.number for c in of if c.kind == "cubic"}
+    if stretch is None or not springs:
+        return tuple(found)
+    rms = np.sqrt(stretch).tolist()
+    return tuple(replace(b, extension=rms[springs[b.name]]) if b.kind == "cubic" else b for b in found)
 
 
 def _shared(found: list[Belief], constants: Constants) -> list[Belief]:
@@ -105,7 +119,7 @@ def _shared(found: list[Belief], constants: Constants) -> list[Belief]:
     Evidence of 3 to 1 is not worth more than a bare mention (Kass & Raftery, J. Am. Stat. Assoc. 90 (1995)
     773): taken at its word it would name a sound part in one of four such cases.
     """
-    scales = [b for b in found if b.kind != "delay"]
+    scales = [b for b in found if b.kind not in APART]
     best = max((b.probability for b in scales), default=0.0)
     tied = [b for b in scales if b.probability > best / tuning.BARE_MENTION]
     if not tied or best >= tuning.BARE_MENTION / (1 + tuning.BARE_MENTION):

@@ -8,11 +8,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance
 
+from agent.numerics.model.cubic import Cubic
 from agent.numerics.model.holds import curvature, lateness, sample, straight, taps
 from agent.numerics.model.statespace import Discrete, Hold, Model, StateSpace, discretise
 from agent.types import BoolArray, FloatArray, IntArray
 
-Kind = Literal["mass", "output", "input", "delay"]
+Kind = Literal["mass", "output", "input", "delay", "cubic"]
 CURVED = 2
 """Fixed by the list of constants: number of the constant that says how smooth inputs are between samples."""
 LAG = 3
@@ -24,14 +25,15 @@ class Constant:
     """A constant of the rig that is known as well as its data sheet says.
 
     Attributes:
-        name: of the mass or channel; "delay" for the delay of the inputs.
-        kind: a mass, an output's or an input's gain, or the delay of all measured inputs.
-        number: which mass (of the model's parameters after θ), output or input it belongs to; of delays 0
-            where the inputs are late, 1 for what is so or not: that an input is held until the next reading
-            (½ sample) in place of a straight line, or that outputs are read before a held one steps (1);
-            2 for what smooth inputs do beyond straight lines between samples (1: all of it); 3 and on for
-            how late each output is read against all else.
-        sheet: standard deviation of its logarithm; of the delay: samples.
+        name: of the mass or channel; "delay" for the delay of the inputs; "k1 cubic".
+        kind: a mass, an output's or an input's gain, the delay of all measured inputs, or by how much a
+            spring hardens.
+        number: which mass (of the model's parameters after θ), output, input or spring (of `cubics`) it
+            belongs to; of delays 0 where the inputs are late, 1 for what is so or not: that an input is held
+            until the next reading (½ sample) in place of a straight line, or that outputs are read before a
+            held one steps (1); 2 for what smooth inputs do beyond straight lines between samples (1: all of
+            it); 3 and on for how late each output is read against all else.
+        sheet: standard deviation of its logarithm; of the delay: samples; of a cubic: share of the stiffness.
         shows: whether data can tell that it is off: no gain can be told where all masses are estimated or
             absent.
         apart: its being off says nothing of how well all else is known.
@@ -85,6 +87,7 @@ class Rig:
         lower: (q,) bound from below of the point of linearisation.
         slow_forces: unknown forces may last; beside dry friction nothing tells them from it.
         rubbings: where dry friction is looked for that the model has no term for.
+        cubics: springs that may harden or soften; their forces are the last of the measured inputs.
         white: what the model leaves is white noise of the sensors, and nothing else, by the configuration.
     """
 
@@ -101,6 +104,7 @@ class Rig:
     slow_forces: bool = True
     white: bool = False
     rubbings: tuple[Rubbing, ...] = ()
+    cubics: tuple[Cubic, ...] = ()
 
     @cached_property
     def sizes(self) -> FloatArray:
@@ -144,6 +148,10 @@ class Rig:
             return np.array([number])
         place, count = int(np.count_nonzero(self.driven[:number])), int(np.count_nonzero(self.driven))
         return np.array([number, *(len(self.measured) + i * count + place for i in range(len(self.shifts)))])
+
+    def cubic_input(self, number: int) -> int:
+        """Return which measured input is the force of a spring's cube."""
+        return len(self.measured) - len(self.cubics) + number
 
     def of_kind(self, kind: Kind) -> IntArray:
         """Return which constants are of a kind."""
@@ -334,13 +342,20 @@ def delays_of(rig: Rig, eta: FloatArray) -> FloatArray | None:
 
 
 def gains_of(rig: Rig, eta: FloatArray, at: Sampled) -> tuple[FloatArray, FloatArray]:
-    """Return the gains of outputs (p,) and of inputs (m,), their slopes' among these, at constants (c,)."""
+    """Return the gains of outputs (p,) and of inputs (m,), their slopes' among these, at constants (c,).
+
+    Those of springs' cubes are by how much each hardens, where the cube is a share of the linear force.
+    """
     outputs, inputs = np.ones(len(at.C)), np.ones(at.B.shape[1])
+    for number in range(len(rig.cubics)):
+        inputs[columns_of(rig, rig.cubic_input(number), at)] = 0.0
     for i, constant in enumerate(rig.constants):
         if constant.kind == "output":
             outputs[constant.number] = np.exp(eta[i])
         elif constant.kind == "input":
             inputs[columns_of(rig, constant.number, at)] = np.exp(eta[i])
+        elif constant.kind == "cubic":
+            inputs[columns_of(rig, rig.cubic_input(constant.number), at)] = eta[i]
     return outputs, inputs
 
 

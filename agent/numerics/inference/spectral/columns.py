@@ -154,6 +154,7 @@ class Regressor:
         rig, response, sources: what is modelled.
         eta: (c,) deviations of the constants at which the model stands; masses and the delay are in the
             response already.
+        stretch: (s,) mean squares of extension at which springs' cubes are shares of their stiffness, m².
         lasting: numbers of the sources that get a column for the window's ends.
     """
 
@@ -164,10 +165,14 @@ class Regressor:
         sources: tuple[Source, ...],
         eta: FloatArray,
         lasting: tuple[int, ...] = (),
+        stretch: FloatArray | None = None,
     ) -> None:
         self.rig, self.response, self.lasting = rig, response, lasting
         self._ending = [sources[a] for a in lasting]
         self.output_gain, self.input_gain = gains_of(rig, eta, response.at)
+        self._stretch = np.ones(len(rig.cubics)) if stretch is None else stretch
+        for number, size in enumerate(self._stretch.tolist()):
+            self.input_gain[rig.cubic_input(number)] /= size
 
     def inputs(self, window: Window) -> FloatArray:
         """Return the inputs (W, m) with gains put right; beside them their slopes, where they may be late."""
@@ -220,7 +225,7 @@ class Regressor:
         modelled = self._outputs(X, low)
         ends = end_effects(response, self._ending, self.output_gain)
         parts = [gamma, ends, self._lost(window), *self._parameters(X, low)]
-        parts.append(self._constants(modelled, X, low))
+        parts.append(self._constants(window, modelled, X, low))
         parts += self._jumps(u, x0, forced, edges, sums)
         parts.append((fy[: bins.kept] - modelled)[..., None])
         X_all = np.concatenate(parts, axis=2)
@@ -309,8 +314,10 @@ class Regressor:
         columns = self.response.columns(X[:, None], U[:, None]) * self.output_gain[:, None]
         return [columns[..., : self.rig.q], columns[..., self.rig.q :]]
 
-    def _constants(self, modelled: ComplexArray, X: ComplexArray, U: ComplexArray) -> ComplexArray:
-        """Columns of gains and delays, in the order of the rig's constants after the masses."""
+    def _constants(
+        self, window: Window, modelled: ComplexArray, X: ComplexArray, U: ComplexArray
+    ) -> ComplexArray:
+        """Columns of gains, delays and cubes, in the order of the rig's constants after the masses."""
         kept, p = modelled.shape
         rig = self.rig
         columns = []
@@ -318,9 +325,8 @@ class Regressor:
             column = np.zeros((kept, p), dtype=complex)
             if constant.kind == "output":
                 column[:, constant.number] = modelled[:, constant.number]
-            elif constant.kind == "input":
-                taps = columns_of(rig, constant.number, self.response.at).tolist()
-                column = np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
+            elif constant.kind in ("input", "cubic"):
+                column = self._pushing(constant, window, U)
             elif (curve := self.response.at.curve) is not None and constant.number == CURVED:
                 column = np.hstack([X, U]) @ curve.T * self.output_gain
             elif (lag := self.response.at.lag) is not None and constant.is_lag:
@@ -331,6 +337,17 @@ class Regressor:
                 column = self.response.delayed(late[constant.number], slopes) * self.output_gain
             columns.append(column)
         return np.stack(columns, axis=2) if columns else np.zeros((kept, p, 0), dtype=complex)
+
+    def _pushing(self, constant: Constant, window: Window, U: ComplexArray) -> ComplexArray:
+        """Return what a measured input does (kept, p), or a spring's cube, whose gain may be 0 in U."""
+        if constant.kind == "input":
+            taps = columns_of(self.rig, constant.number, self.response.at).tolist()
+            return np.asarray(
+                np.sum([self.response.driven(j, U[:, j]) for j in taps], axis=0) * self.output_gain
+            )
+        j = self.rig.cubic_input(constant.number)
+        cube = unitary(window.u[:, j] / self._stretch[constant.number])[: len(U)]
+        return self.response.driven(j, cube) * self.output_gain
 
     def _jumps(
         self, u: FloatArray, x0: FloatArray, forced: FloatArray, edges: IntArray, sums: FloatArray

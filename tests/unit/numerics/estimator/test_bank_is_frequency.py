@@ -61,7 +61,7 @@ def both(
     # what a gain does inside a window is taken from the one learnt from, whatever the excitation
     point = replace(point, slid=np.zeros(learner.rig.q))
     plan = HopPlan(WINDOW, HOP)
-    taps = taps_of(learner.rig, len(rig.seen), point.slopes)
+    taps = taps_of(learner.rig, len(rig.seen), point.inputs, point.slopes)
     stream = Stream(point.model, point.push, point.noise, plan, (), learner.rig.q, taps)
     stream.start_segment(0)
     taken = samples.samples_with_slopes if point.slopes else samples.samples

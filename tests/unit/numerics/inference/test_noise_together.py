@@ -73,7 +73,7 @@ def test_noise_score_of_variances_is_the_slope_of_the_restricted_likelihood() ->
     quiet = knowledge(learner, DenseNoise(SIGMA, np.zeros(2)))
     at = linearised(learner, quiet, window)
     wide = learner.lineariser.ridge(
-        at.regression.layout, window, learner.lineariser.wide(), np.zeros(len(known.eta))
+        at.regression.layout, window, learner.lineariser.wide(known.constants), np.zeros(len(known.eta))
     )
     fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, wide)
     assert {learner.sources[a].origin for a in fit.there} == {("force", 0), ("sensor", 0)}

@@ -120,12 +120,14 @@ def test_inference_restricted_log_likelihood_differs_from_dense_by_a_constant() 
         noise = DenseNoise(scale * SIGMA, np.array([force, 0.3 * force]))
         learner, known, at, dense = both(rig, noise, window)
         wide = learner.lineariser.ridge(
-            at.regression.layout, window, learner.lineariser.wide(), np.zeros(len(known.eta))
+            at.regression.layout, window, learner.lineariser.wide(known.constants), np.zeros(len(known.eta))
         )
         fit = NoiseFit(known.noise, at.cells, at.regression, learner.sources, wide)
         found.append(fit.restricted_log_likelihood())
         wanted.append(
-            dense.restricted_log_likelihood(precision(learner.lineariser.wide()), np.zeros(len(known.eta)))
+            dense.restricted_log_likelihood(
+                precision(learner.lineariser.wide(known.constants)), np.zeros(len(known.eta))
+            )
         )
     assert np.diff(found) == pytest.approx(np.diff(wanted), rel=1e-5)
     assert np.abs(np.diff(wanted)).min() > 1.0

@@ -152,10 +152,13 @@ def _cubics(constants: tuple[Constant, ...], beside: list[Hypothesis]) -> list[H
     odds = tuning.PRIOR_CUBIC / max(len(sets), 1)
     spread = tuning.OFF_CUBIC**2 * np.array([np.diag(sum(o.members for o in which)) for which in sets])
     return [
-        replace(h, off=which, covariance=h.covariance + more, prior=odds * h.prior)
+        replace(
+            h, off=which, covariance=h.covariance + more, walk=h.walk + tuning.QUIET_WALK**2 * more,
+            prior=odds * h.prior,
+        )
         for which, more in zip(sets, spread, strict=True)
         for h in beside
-    ]
+    ]  # fmt: skip
 
 
 def _drifts(
@@ -188,8 +191,8 @@ def _levels(constants: tuple[Constant, ...]) -> list[tuple[FloatArray, float]]:
     # inputs are in time, outputs are read at one instant, and springs are straight
     closed = np.array([c.kind == "cubic" for c in constants], dtype=bool)
     lags = np.array([c.is_lag for c in constants], dtype=bool)
-    in_time = np.where(lags | closed, tuning.AT_ONCE, tuning.AS_CONFIGURED)
-    as_late = np.where(closed, tuning.AT_ONCE, 1.0)
+    in_time = np.where(lags, tuning.AT_ONCE, np.where(closed, tuning.STRAIGHT, tuning.AS_CONFIGURED))
+    as_late = np.where(closed, tuning.STRAIGHT, 1.0)
     times = ((in_time, 0.0, 1.0), (as_late, 1.0, tuning.PRIOR_LATE))
     # what comes along with a delay is open as wide where inputs may be late as where they are
     along = np.array([tuning.OFF_DELAY / max(c.sheet, 1e-9) * _comes_along(c) for c in constants])
@@ -226,7 +229,8 @@ def _healthy(constants: tuple[Constant, ...], share: FloatArray, prior: float) -
     shows = np.array([c.shows for c in constants], dtype=bool)
     name = "as configured" if share.max(initial=0.0) <= tuning.AS_CONFIGURED else "within data sheet"
     covariance = np.diag((np.where(shows, share, 1.0) * sheet) ** 2) + _least(sheet)
-    walk = np.diag((tuning.QUIET_WALK * sheet) ** 2)
+    closed = np.array([c.kind == "cubic" for c in constants], dtype=bool)
+    walk = np.diag((tuning.QUIET_WALK * np.where(closed, tuning.STRAIGHT, 1.0) * sheet) ** 2)
     return Hypothesis(name, (), covariance, walk, prior, np.zeros(len(sheet)))
 
 

@@ -38,7 +38,7 @@ def opened(lineariser: Lineariser, at: Linearised, known: Knowledge, which: IntA
     xi = at.regression.layout.xi
     R, b = at.ridge.R.copy(), at.ridge.b.copy()
     R[xi, xi] = inverse(lineariser.spread(known.constants, which))
-    b[xi] = R[xi, xi] @ (known.constants.expected - known.eta)
+    b[xi] = R[xi, xi] @ (lineariser.expected(known.constants) - known.eta)
     return replace(at, ridge=Ridge(R, b))
 
 

@@ -139,19 +139,18 @@ class Learner:
             noise, settled, hard = self._noise_after(window, at, predicted, again, shaken, hard)
             update = known.constants.switching(later, self._information(settled, predicted))
             constants = known.constants.switched(update)
-            moved = (
-                np.abs(constants.expected - predicted.eta)
-                > tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
-            )
+            expected = self.lineariser.expected(constants)
+            far = tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
+            moved = np.abs(expected - predicted.eta) > far
             if not moved.any():
                 break
             # the constants are elsewhere: the model is made straight there before anything is believed
-            predicted = replace(predicted, eta=constants.expected, theta=at.theta)
+            predicted = replace(predicted, eta=expected, theta=at.theta)
             there = replace(predicted, constants=constants, noise=led)
             at = self.lineariser.linearised(window, there, jumps=False)
         if self._spread_out(window, settled, predicted, update):
             constants = known.constants.switched(update)
-        here = _estimate(settled, predicted.eta).at(constants.expected)
+        here = _estimate(settled, predicted.eta).at(self.lineariser.expected(constants))
         scatter = known.scatter.after(self._ratio(settled) / settled.inflation, here)
         rounding = self.lineariser.rounding_after(settled, noise, before)
         at_window = replace(predicted, noise=replace(noise, rounding=rounding), scatter=scatter)
@@ -226,7 +225,7 @@ class Learner:
                 window, at, known, self.lineariser.wide(known.constants), -known.eta, shaken, anew
             )
             return noise, self.lineariser.without_jumps(at, window, noise, fit), False
-        centre = known.constants.expected - known.eta
+        centre = self.lineariser.expected(known.constants) - known.eta
         straight = self.lineariser.spread(known.constants)
         bent = self.lineariser.spread(known.constants, self.rig.of_kind("cubic"))
         noise, fit = self._noise_within(window, at, known, bent if hard else straight, centre, shaken, anew)

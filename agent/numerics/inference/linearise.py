@@ -153,7 +153,7 @@ class Lineariser:
         """
         if self.rig.cubics:
             known = known.stretched(_stretch(window, self.rig), self.rig.of_kind("cubic"))
-        mean = known.constants.expected
+        mean = self.expected(known.constants)
         far = np.abs(mean - known.eta) > self.eta_tolerance()
         known = replace(known, eta=mean) if far.any() else known
         before = known.kept_for
@@ -356,7 +356,11 @@ class Lineariser:
         G[-1, -1] += HighPower(response, regression.high, noise.levels).quadratic(Si)
         constants = known.constants
         ridge = self.ridge(
-            regression.layout, window, self.spread(constants), constants.expected - known.eta, noise.intensity
+            regression.layout,
+            window,
+            self.spread(constants),
+            self.expected(constants) - known.eta,
+            noise.intensity,
         )
         changes = int(np.count_nonzero(rows_with(np.diff(window.y, axis=0) != 0)))
         repeats = float(by_repeats(changes, self.window))
@@ -403,7 +407,7 @@ class Lineariser:
         at = self._anchored(at, known.theta)
         alone, V, Z = at.given
         if given:
-            step = alone - Z @ (known.constants.expected - known.eta)
+            step = alone - Z @ (self.expected(known.constants) - known.eta)
         else:
             step = at.fitted[1][at.regression.layout.psi]
         return step, self._length(at, step, np.sqrt(np.diag(V)))
@@ -447,6 +451,17 @@ class Lineariser:
         mean, P = constants.standing
         sizes[cubic] = np.hypot(mean, np.sqrt(np.diag(P)))[cubic]
         return np.diag(sizes**2)
+
+    def expected(self, constants: Constants) -> FloatArray:
+        """Return the constants (c,) at which a window is linearised: their mean, springs by what stands.
+
+        A cube that hardly any hypothesis has, and that scales with nothing, would else tell apart scales that
+        no reading shows.
+        """
+        mean = constants.expected.copy()
+        cubic = self.rig.of_kind("cubic")
+        mean[cubic] = constants.standing[0][cubic]
+        return mean
 
     def spread(self, constants: Constants, hard: IntArray | None = None) -> FloatArray:
         """Return the constants' prior (c, c) in a window: the mixture's, springs as far as hypotheses stand.

@@ -200,3 +200,23 @@ def test_spring_that_hardly_hardens_is_not_worth_a_word() -> None:
     assert said["k2 cubic"].probability < 0.01
     assert said["k1 cubic"].size == pytest.approx(0.05)
     assert said["k1 cubic"].extension == pytest.approx(0.02)
+
+
+def test_scales_that_no_reading_shows_tie_beside_springs_that_may_harden() -> None:
+    """Masses and forces times c leave every motion as it is; cubes that are not there tell nothing of c."""
+    record, _ = played(7, (0.0, 0.0))
+    learner = learner_of(rig_of(TWO))
+    known = learner.prior(np.array(TWO.noise), np.full(2, 0.3))
+    for newest in (SAMPLES // 2 - 1, SAMPLES - 1):
+        # a force that reads a twentieth less than it should
+        window = record.window(newest, TWO.window)
+        less = np.array([0.95, 1.0, 1.0])
+        known = learner.learn(replace(window, u=window.u * less, slope=window.slope * less), known)[1]
+    names = ("all masses", "all outputs", "force")
+    weights = {
+        h.name: w
+        for h, w in zip(known.constants.hypotheses, known.constants.weight, strict=True)
+        if h.level == "as configured"
+    }
+    found = np.array([weights[name] for name in names])
+    np.testing.assert_allclose(found / found[0], 1.0, rtol=1e-4)

@@ -430,6 +430,24 @@ class Constants:
         moved = variance * _squares(drifting) - _squares(start)
         return replace(first, mean=(share @ mean)[:, None] * drifting, covariance=first.covariance + moved)
 
+    def refused(self, which: IntArray) -> "Constants":
+        """Return the same where nothing by which any of some constants is off is likelier than at first.
+
+        What was begins anew.
+        """
+        first = Constants.prior(self.hypotheses)
+        off = np.array([any(o.members[which].any() for o in h.off) for h in self.hypotheses], dtype=bool)
+        anew = off & (self.weight > first.weight)
+        if not anew.any() or off.all():
+            return self
+        share = (1 - first.weight[anew].sum()) / self.weight[~anew].sum()
+        return Constants(
+            self.hypotheses,
+            np.where(anew, first.weight, share * self.weight),
+            np.where(anew[:, None], first.mean, self.mean),
+            np.where(anew[:, None, None], first.covariance, self.covariance),
+        )
+
     def updated(self, said: Information) -> "Constants":
         """Return what is known after a window that is straight about one point."""
         update = Update(self.weight, self.mean, self.covariance, said)

@@ -138,7 +138,7 @@ class Learner:
             again = shaken or known.unexplained
             noise, settled, hard = self._noise_after(window, at, predicted, again, shaken, hard)
             update = known.constants.switching(later, self._information(settled, predicted))
-            constants = known.constants.switched(update)
+            constants = self._settled(known, update)
             expected = self.lineariser.expected(constants)
             far = tuning.FAR_TOLERANCES * self.lineariser.eta_tolerance()
             moved = np.abs(expected - predicted.eta) > far
@@ -149,7 +149,7 @@ class Learner:
             there = replace(predicted, constants=constants, noise=led)
             at = self.lineariser.linearised(window, there, jumps=False)
         if self._spread_out(window, settled, predicted, update):
-            constants = known.constants.switched(update)
+            constants = self._settled(known, update)
         here = _estimate(settled, predicted.eta).at(self.lineariser.expected(constants))
         scatter = known.scatter.after(self._ratio(settled) / settled.inflation, here)
         rounding = self.lineariser.rounding_after(settled, noise, before)
@@ -194,6 +194,15 @@ class Learner:
             if found.converged and forces < tuning.AS_LARGE:
                 return found, noise
         return at, known.noise
+
+    def _settled(self, known: Knowledge, update: Update) -> Constants:
+        """What is known of the constants after a window; a first one says nothing of springs that harden.
+
+        With no jump and no noise known yet they would stand for what the graph lacks.
+        """
+        constants = known.constants.switched(update)
+        first = self.rig.cubics and not known.noise.windows
+        return constants.refused(self.rig.of_kind("cubic")) if first else constants
 
     def _rubs(self, at: Linearised, known: Knowledge, posterior: Posterior) -> bool:
         """Whether dry friction across a damper is evident and would move an estimate by more than its sd."""
@@ -330,13 +339,13 @@ class Learner:
         return evidence - changing(at, temper, jumps=not lasting)
 
     def _may_harden(self, at: Linearised, known: Knowledge) -> bool:
-        """Whether springs that harden are asked for with a noise of their own; in first windows always.
+        """Whether springs that harden are asked for with a noise of their own; early on always.
 
         Where unknown forces take what such springs do a window hardly says so: now and then it is asked too.
         """
-        if not self.rig.cubics:
-            return False
         windows = known.noise.windows
+        if not self.rig.cubics or not windows:
+            return False
         often = windows < tuning.SETTLED or windows % tuning.SELDOM == 0
         return often or hardening(self.lineariser, at, known, self._temper(at, known)) > 0
 

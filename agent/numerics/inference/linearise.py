@@ -209,7 +209,8 @@ class Lineariser:
     ) -> Linearised:
         """Return a window after Gauss-Newton; constants are given where estimated ones hide the curvature."""
         at = self._descended(window, known, jumps, steps, given=False)
-        if at.converged or not len(self.rig.constants):
+        # a cube hides no curvature: springs are straight here, or it is known
+        if at.converged or len(self.rig.constants) == len(self.rig.cubics):
             return at
         again = self._descended(window, known, jumps, steps, given=True)
         return again if again.converged else at

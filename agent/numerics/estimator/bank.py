@@ -102,7 +102,9 @@ class Bank:
         if stop <= self._fed:
             return False
         samples = record.samples_with_slopes if point.slopes else record.samples
-        fed = samples(self._fed, stop, point.inputs)
+        # further readings for a polynomial hold stand behind the measured inputs: nothing is left out then
+        straight = point.inputs < len(self._settings.rig.measured)
+        fed = samples(self._fed, stop, point.inputs if straight else None)
         stream.append(self._fed, fed, self._lost_until(record, stop))
         self._fed = stop
         return True

@@ -123,7 +123,7 @@ class Explainer:
         posterior, learnt = self._first(window)
         if not posterior.converged or (record.rests_at(newest, window.length) and self._is_gone(posterior)):
             return False
-        fresh = self.learner.prior(*self._sigma(window.y))
+        fresh = replace(self.learner.prior(*self._sigma(window.y)), stretch=learnt.stretch)
         if new and self.faults.reads_wrongly(record, window, newest, fresh, learnt, posterior):
             return False
         self.faults.begun(record, window, newest, learnt)

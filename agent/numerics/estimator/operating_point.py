@@ -212,14 +212,14 @@ class _Seen:
 def _open(rig: Rig, known: Knowledge) -> BoolArray:
     """(c,) constants that are not known exactly.
 
-    So outputs' lateness is as long as they are believed to be read at once, and springs' cubes as long as all
-    are believed to be straight.
+    So outputs' lateness is as long as they are believed to be read at once, and a spring's cube as long as it
+    is believed to be straight.
     """
     at_once = np.sqrt(np.diag(known.constants.standing[1])) < IN_TIME
-    is_straight = not known.constants.believes(rig.of_kind("cubic"))
+    cubes = [known.constants.believes(np.array([i])) for i in range(len(rig.constants))]
     return np.array([
-        c.sheet > 0 and not (c.is_lag and exact) and not (c.kind == "cubic" and is_straight)
-        for c, exact in zip(rig.constants, at_once, strict=True)
+        c.sheet > 0 and not (c.is_lag and exact) and (c.kind != "cubic" or bent)
+        for c, exact, bent in zip(rig.constants, at_once, cubes, strict=True)
     ], dtype=bool)  # fmt: skip
 
 

@@ -43,7 +43,7 @@ OFF_DELAY = 1.0
 OFF_CUBIC = 0.1
 """Prior sd of by how much a spring hardens, share of its stiffness at the first window's rms extension.
 Needed by: springs that harden by 5 %."""
-STRAIGHT = 1e-8
+STRAIGHT = 1e-13
 """Share of OFF_CUBIC by which springs are straight in all hypotheses but those that say that they are not:
 with more, precise sensors would tell scales apart that no reading shows. Needed by: all masses, rig 7404."""
 HARD_EVIDENCE = 10.0

@@ -1,5 +1,6 @@
 """From a checked configuration to the statistical model: parameters, unknown forces, constants."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from agent.numerics.inference.tuning import CURVE_SHEET, CURVED_A_PERIOD, DELAY_
 from agent.numerics.model.cubic import Cubic, WithCubics
 from agent.numerics.model.elements.descriptor import DescriptorModel, with_forces
 from agent.numerics.model.identifiability import identifiability
-from agent.numerics.model.mechanics import GROUND, MassSpringDamper
+from agent.numerics.model.mechanics import GROUND, MassSpringDamper, Quantity
 from agent.numerics.model.sensors import Nuisance, SensedModel, Side
 from agent.numerics.model.statespace import AffineModel, Model, StateSpace, modes
 from agent.numerics.model.uncertain import CURVED, LAG, Constant, Rig, Rubbing
@@ -278,21 +279,31 @@ def _rubbings(config: RigConfig, pushed: _Pushed) -> tuple[Rubbing, ...]:
     """Where dry friction may act without a model term: across each damper between places that weigh."""
     if not isinstance(config.model, MechanicsModel) or not pushed.pushes:
         return ()
-    states, places = pushed.model.state_names, pushed.pushes
     rubbing = {frozenset(f.between) for f in config.model.friction}
     out = []
     for damper in config.model.damper:
-        ends = [
-            (node, sign) for node, sign in zip(damper.between, (1.0, -1.0), strict=True) if node != GROUND
-        ]
-        if frozenset(damper.between) in rubbing or not all(node in places for node, _ in ends):
-            continue
-        speed, push = np.zeros(len(states)), np.zeros(len(places))
-        for node, sign in ends:
-            speed[states.index(f"velocity of {node}")] += sign
-            push[places.index(node)] += sign
-        out.append(Rubbing(speed, push))
+        across = _across(damper.between, pushed, "velocity")
+        if across is not None and frozenset(damper.between) not in rubbing:
+            out.append(Rubbing(*across))
     return tuple(out)
+
+
+def _across(
+    between: Sequence[str], pushed: _Pushed, quantity: Quantity
+) -> tuple[FloatArray, FloatArray] | None:
+    """What takes the first end's motion against the second's from the states (n,), and a force along it (d,).
+
+    None where an end is a place that does not weigh.
+    """
+    states, places = pushed.model.state_names, pushed.pushes
+    ends = [(node, sign) for node, sign in zip(between, (1.0, -1.0), strict=True) if node != GROUND]
+    if not all(node in places for node, _ in ends):
+        return None
+    row, push = np.zeros(len(states)), np.zeros(len(places))
+    for node, sign in ends:
+        row[states.index(f"{quantity} of {node}")] += sign
+        push[places.index(node)] += sign
+    return row, push
 
 
 def with_cubics(config: RigConfig, rig: Rig) -> Rig:
@@ -318,24 +329,18 @@ def _cubics(config: RigConfig, pushed: _Pushed) -> tuple[Cubic, ...]:
     """Springs between places that weigh, whose extensions follow from displacements that are measured."""
     if not isinstance(config.model, MechanicsModel) or not pushed.pushes:
         return ()
-    states, places = pushed.model.state_names, pushed.pushes
     seen = np.array([float(c.quantity == "displacement") for c in config.outputs])
     displacements = pushed.model.continuous(pushed.model.nominal).C * seen[:, None]
     shows = np.linalg.pinv(displacements)
     found = []
     for spring in config.model.spring:
-        across, push = np.zeros(len(states)), np.zeros(len(places))
-        ends = [
-            (node, sign) for node, sign in zip(spring.between, (1.0, -1.0), strict=True) if node != GROUND
-        ]
-        if not (spring.nominal > 0 and all(node in places for node, _ in ends)):
+        across = _across(spring.between, pushed, "displacement")
+        if across is None or not spring.nominal > 0:
             continue
-        for node, sign in ends:
-            across[states.index(f"displacement of {node}")] += sign
-            push[places.index(node)] -= sign
-        extension = across @ shows
-        if np.allclose(extension @ displacements, across, rtol=0.0, atol=SHOWN):
-            found.append(Cubic(spring.name, extension, push, spring.nominal))
+        row, push = across
+        extension = row @ shows
+        if np.allclose(extension @ displacements, row, rtol=0.0, atol=SHOWN):
+            found.append(Cubic(spring.name, extension, -push, spring.nominal))
     return tuple(found)
 
 

@@ -445,18 +445,18 @@ class Explainer:
             disturbance.wait(newest + length)
         if self.faults.is_active or not posterior.converged:
             return False
-        if self._hardens > 0 and self._springs(record, newest, 1.0):
+        if self._hardens > 0 and self._springs(record, newest):
             return True
         lasts = LASTS if posterior.jumps_once else 1.0
         if self._since(newest) < lasts * length or self._runs_on(window, newest):
             return False
-        if self._springs(record, newest, lasts):
+        if self._springs(record, newest):
             return True
         return self._relearn(record, window, posterior, newest, jumps=self._may_jump(posterior, newest))
 
-    def _springs(self, record: Record, newest: int, windows: float) -> bool:
-        """Explain a window by springs that harden, broken for so many windows: what jumped is behind then."""
-        lasting = self._since(newest) >= windows * self.settings.plan.window
+    def _springs(self, record: Record, newest: int) -> bool:
+        """Explain a window by springs that harden, a window after onset: what jumped is behind then."""
+        lasting = self._since(newest) >= self.settings.plan.window
         return self._hardens > -np.inf and lasting and self._follows(record, newest, hard=True)
 
     def _since(self, newest: int) -> int:

@@ -164,9 +164,7 @@ class _Seen:
 
     def __init__(self, rig: Rig, eta: FloatArray, at: Sampled, stretch: FloatArray | None) -> None:
         self.rig, self.at, self.stretch = rig, at, stretch
-        self.output_gain, self.input_gain = gains_of(rig, eta, at)
-        for number, size in enumerate(() if stretch is None else stretch.tolist()):
-            self.input_gain[rig.cubic_input(number)] /= size
+        self.output_gain, self.input_gain = gains_of(rig, eta, at, stretch)
 
     def model(
         self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray

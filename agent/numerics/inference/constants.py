@@ -440,7 +440,10 @@ class Constants:
         anew = off & (self.weight > first.weight)
         if not anew.any() or off.all():
             return self
-        share = (1 - first.weight[anew].sum()) / self.weight[~anew].sum()
+        left = self.weight[~anew].sum()
+        if not left > 0:  # so sure of them that the others have no digits: it says nothing of those either
+            return first
+        share = (1 - first.weight[anew].sum()) / left
         return Constants(
             self.hypotheses,
             np.where(anew, first.weight, share * self.weight),

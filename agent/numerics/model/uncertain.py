@@ -341,10 +341,12 @@ def delays_of(rig: Rig, eta: FloatArray) -> FloatArray | None:
     return delays if numbers else None
 
 
-def gains_of(rig: Rig, eta: FloatArray, at: Sampled) -> tuple[FloatArray, FloatArray]:
+def gains_of(
+    rig: Rig, eta: FloatArray, at: Sampled, stretch: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Return the gains of outputs (p,) and of inputs (m,), their slopes' among these, at constants (c,).
 
-    Those of springs' cubes are by how much each hardens, where the cube is a share of the linear force.
+    Those of springs' cubes are by how much each hardens at mean square extensions `stretch` (s,), m².
     """
     outputs, inputs = np.ones(len(at.C)), np.ones(at.B.shape[1])
     for number in range(len(rig.cubics)):
@@ -355,7 +357,8 @@ def gains_of(rig: Rig, eta: FloatArray, at: Sampled) -> tuple[FloatArray, FloatA
         elif constant.kind == "input":
             inputs[columns_of(rig, constant.number, at)] = np.exp(eta[i])
         elif constant.kind == "cubic":
-            inputs[columns_of(rig, rig.cubic_input(constant.number), at)] = eta[i]
+            size = 1.0 if stretch is None else stretch[constant.number]
+            inputs[columns_of(rig, rig.cubic_input(constant.number), at)] = eta[i] / size
     return outputs, inputs
 
 

@@ -169,10 +169,8 @@ class Regressor:
     ) -> None:
         self.rig, self.response, self.lasting = rig, response, lasting
         self._ending = [sources[a] for a in lasting]
-        self.output_gain, self.input_gain = gains_of(rig, eta, response.at)
+        self.output_gain, self.input_gain = gains_of(rig, eta, response.at, stretch)
         self._stretch = np.ones(len(rig.cubics)) if stretch is None else stretch
-        for number, size in enumerate(self._stretch.tolist()):
-            self.input_gain[rig.cubic_input(number)] /= size
 
     def inputs(self, window: Window) -> FloatArray:
         """Return the inputs (W, m) with gains put right; beside them their slopes, where they may be late."""

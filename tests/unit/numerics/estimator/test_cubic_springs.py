@@ -220,3 +220,19 @@ def test_scales_that_no_reading_shows_tie_beside_springs_that_may_harden() -> No
     }
     found = np.array([weights[name] for name in names])
     np.testing.assert_allclose(found / found[0], 1.0, rtol=1e-4)
+
+
+def test_first_window_may_refute_that_springs_harden_and_does_not_speak_for_it() -> None:
+    rig = rig_of(TWO)
+    cubic = rig.of_kind("cubic")
+    first = learner_of(rig).prior(np.array(TWO.noise), np.full(2, 0.3)).constants
+    off = np.array([any(o.members[cubic].any() for o in h.off) for h in first.hypotheses])
+    refuted = replace(first, weight=np.where(off, 1e-6 * first.weight, first.weight))
+    assert refuted.refused(cubic) is refuted
+    spoken = replace(first, weight=np.where(off, 1.0, 1e-3) / len(off))
+    found = spoken.refused(cubic)
+    np.testing.assert_array_equal(found.weight[off], first.weight[off])
+    assert found.weight.sum() == pytest.approx(1.0)
+    # evidence beyond all doubles
+    sure = replace(first, weight=off / off.sum())
+    np.testing.assert_array_equal(sure.refused(cubic).weight, first.weight)

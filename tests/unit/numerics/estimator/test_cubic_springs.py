@@ -156,6 +156,14 @@ def test_cube_counts_by_the_widest_extensions_so_far_and_pushes_as_before() -> N
     np.testing.assert_allclose(
         wider.constants.covariance[:, number, number], 625 * after.constants.covariance[:, number, number]
     )
+    # what a cube does to the parameters stays what it was
+    assert wider.footing is not None and after.footing is not None  # noqa: PT018 - a window was learnt from
+    for there, here in (
+        (wider.footing, after.footing),
+        (wider.scatter.last[-1], after.scatter.last[-1]),
+    ):
+        assert np.abs(here.sensitivity[:, number]).max() > 0
+        np.testing.assert_allclose(25 * there.sensitivity[:, number], here.sensitivity[:, number])
     assert wider.stretched(after.stretch, cubic) is wider
     # what is hardly known of it is no wider than before any data
     fresh = replace(known_of(learner_of(rig), "k1 cubic"), stretch=after.stretch)

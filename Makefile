@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 PIP := $(PYTHON) -m pip --python $(VENV)/bin/python --disable-pip-version-check -qq
 PYTEST := $(VENV)/bin/python -m pytest
+SHARED := "not realtime and not background and not soak and not bench"
 LANES := "(realtime or background) and not soak and not bench"
 
 export PIP_ROOT_USER_ACTION := ignore
@@ -47,13 +48,15 @@ demo: $(VENV)/.runtime
 # First what processes can share, the longest files first; three on two cores, since many tests wait for processes. Then,
 # by lanes (tests/lanes.py), what holds a pace on the wall clock, one test after another; beside it what waits and has no
 # pace to hold; and, giving way to both, what only computes. What a busy machine made late is asked once more with nothing
-# beside it. Exit code 5 says that ARGS left nothing to run.
+# beside it. Both parts run whatever the first one shows. Exit code 5 says that ARGS left nothing to run.
 test: $(VENV)/.develop
 	sh tests/install_peers.sh
-	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m "not realtime and not background and not soak and not bench" $(ARGS) || [ $$? -eq 5 ]
+	@shared=0; \
+	$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder -m $(SHARED) $(ARGS) || shared=$$?; \
 	$(PYTEST) -n 3 --dist loadscope -m $(LANES) $(ARGS) || [ $$? -eq 5 ] || { \
 		echo "make test: what failed is run once more, alone" >&2; \
-		$(PYTEST) -m $(LANES) --last-failed --last-failed-no-failures none $(ARGS); }
+		$(PYTEST) -m $(LANES) --last-failed --last-failed-no-failures none $(ARGS); } || exit 1; \
+	[ $$shared -eq 0 ] || [ $$shared -eq 5 ]
 
 lint: $(VENV)/.develop
 	$(VENV)/bin/ruff check .

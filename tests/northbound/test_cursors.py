@@ -115,6 +115,7 @@ def test_consumer_that_refuses_loses_and_hangs_has_every_row_in_order_and_is_ann
     assert causes == ["consumer failed", "consumer recovered"] * 2
 
 
+@pytest.mark.realtime
 def test_consumer_that_hangs_holds_up_neither_another_nor_the_writer_nor_the_end(memory: Path) -> None:
     path, stuck, fine = memory / "rig.db", Archive(["hang"]), Archive()
     others = {"plant": stuck, "fine": fine}

@@ -110,6 +110,7 @@ def test_agent_killed_between_sending_and_noting_sends_again_with_the_same_key(m
     assert keys.read_text(encoding="utf-8").split() == again == keys_of(path)
 
 
+@pytest.mark.realtime
 def test_target_that_hangs_holds_up_neither_another_nor_the_writer_nor_the_end(memory: Path) -> None:
     path, others, release = memory / "rig.db", [], threading.Event()
 

@@ -18,6 +18,7 @@ from agent.storage.write.writer import StoreWriter
 from tests.scenario.live import example
 from tests.storage.rows import batch, run_info
 
+pytestmark = pytest.mark.realtime
 MOST_S = 3.0
 ENDLESS = "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT count(*) FROM n"
 LONG_S = 20.0

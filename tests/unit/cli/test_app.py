@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -113,24 +112,20 @@ def test_help_names_every_command_with_one_line(deltak: Run) -> None:
     assert "..." not in out.partition("First steps:")[2]
 
 
-def test_help_answers_in_a_third_of_a_second_without_heavy_libraries() -> None:
-    took = []
-    for _ in range(3):
-        start = time.perf_counter()
-        done = subprocess.run(
-            [sys.executable, "-X", "importtime", "-m", "agent", "--help"],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        took.append(time.perf_counter() - start)
+def test_help_answers_without_heavy_libraries() -> None:
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "agent", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     imported = {
         line.rsplit("|", 1)[-1].strip().split(".")[0] for line in done.stderr.splitlines() if "|" in line
     }
+    assert "typer" in imported
     assert imported.isdisjoint(
         {"numpy", "scipy", "pydantic", "rich", "can", "pymodbus", "sqlite_utils", "matplotlib"}
     )
-    assert min(took) < 0.3
 
 
 @pytest.mark.parametrize("command", COMMANDS[:-1])

@@ -239,6 +239,7 @@ class Slow:
         return Made()
 
 
+@pytest.mark.realtime
 def test_thread_makes_what_is_asked_once_and_is_not_waited_for() -> None:
     slow: Any = Slow()
     thread = ForecastThread({"press": slow}, settle_s=0.0)

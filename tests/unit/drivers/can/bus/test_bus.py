@@ -56,6 +56,7 @@ def test_kernel_bus_that_is_not_there_raises_io_error_in_words() -> None:
         driver(interface="socketcan", channel="can77").open()
 
 
+@pytest.mark.realtime
 def test_refused_daemon_is_told_at_once_and_costs_no_processor_time() -> None:
     with Free() as port:
         reader = driver(interface="socketcand", port=port)

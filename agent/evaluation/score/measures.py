@@ -137,7 +137,8 @@ class Assessment:
         played = np.asarray(self.truth.parameters[name])
         total = np.concatenate([[0.0], np.cumsum(played)])
         last, first = number[assessed], first[assessed]
-        mean, end = (total[last + 1] - total[first]) / (last + 1 - first), played[last]
+        mean = (total[last + 1] - total[first]) / (last + 1 - first)
+        end = played[last]
         value = rows.column("value", i)[assessed]
         true = np.where(np.abs(value - end) < np.abs(value - mean), end, mean)
         error = value - true

@@ -327,7 +327,10 @@ class Lineariser:
         there = replace(known, eta=eta)
         for _ in range(tuning.STEPS):
             theta = np.maximum(theta, self.rig.lower)
-            columns, unit = self._trial(at, window, there, theta)
+            try:
+                columns, unit = self._trial(at, window, there, theta)
+            except np.linalg.LinAlgError:  # nothing is left of the parameters, and outputs show no state
+                return None
             G = at.cells.gram(at.Si, columns.X)
             at = replace(at, theta=theta, unit=unit, regression=columns, G=G)
             step, V, _ = at.given

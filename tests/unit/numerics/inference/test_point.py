@@ -114,3 +114,24 @@ def test_a_point_moves_where_what_is_known_did() -> None:
     along = shifted(near.theta, footing.sensitivity @ (eta - near.eta))
     assert np.any(np.abs(along - near.theta) > 2.5 * near.reach)
     np.testing.assert_array_equal(placed(replace(at, theta=along, eta=eta, footing=footing)).eta, near.eta)
+
+
+def test_constants_that_leave_nothing_of_the_parameters_are_no_place() -> None:
+    """Accelerations show no state of masses that nothing holds."""
+    rng = np.random.default_rng(10)
+    rig = ChainRig(
+        masses=RIG.masses,
+        springs=RIG.springs,
+        dampers=RIG.dampers,
+        period=RIG.period,
+        seen=("acceleration",) * 2,
+    )
+    learner = learner_of(rig, WINDOW)
+    noise = DenseNoise(np.full(2, 0.01), np.zeros(2))
+    known = learner.prior(noise.sigma, np.full(2, 0.3))
+    window, *_ = record(rig, rng, noise, WINDOW, force=1.0, off=1.0)
+    known = learner.learn(window, known)[1]
+    at = learner.solve(window, known)[1]
+    less = np.array([float(c.kind in {"mass", "input"}) for c in rig.rig.constants])
+    assert learner.lineariser.elsewhere(at, window, known, known.eta - 0.01 * less) is not None
+    assert learner.lineariser.elsewhere(at, window, known, known.eta - 1.2 * less) is None

@@ -191,11 +191,12 @@ def test_whole_replay_of_a_recording_into_sqlite_keeps_far_ahead_of_time(
         *(replayed(config, recording, tmp_path / f"out{i}.db") for i in range(3)), strict=True
     )
     rate, of_processor = SAMPLES / min(walls), SAMPLES / min(processors)
+    ratio = 1e-9 * fastest({"ekf": timed_ekf(samples)})["ekf"] * of_processor
     figure(
-        f"whole replay of NPZ into SQLite, {force} force: "
-        f"{rate:,.0f} samples a second, {of_processor:,.0f} of a core"
+        f"whole replay of NPZ into SQLite, {force} force: {rate:,.0f} samples a second, "
+        f"{of_processor:,.0f} of a core, {ratio:.0f} x the joint EKF's alone"
     )
-    assert of_processor >= 300_000  # on a loaded machine too: a core that is shared takes half as long again
+    assert ratio >= 12  # a machine that shares its cores makes half as many again of it
 
 
 def held() -> Record:

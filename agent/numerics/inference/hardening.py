@@ -1,8 +1,8 @@
 """Do springs that harden or soften explain a window, and better than parameters that change in it?
 
-A window's log evidence is compared with that of the same columns once more, free by themselves: a cube's, for
-one spring after the other and for all; against it one jump of the parameters, or a line that they run on, of
-each of them or of all.
+With constants N(m, P) a window's log evidence is −½ (power left + log det of the columns' precision +
+log det P): P is opened for one spring after the other, and for all. Against it stand one jump of the
+parameters, or a line that they run on, of each of them or of all.
 """
 
 from dataclasses import replace
@@ -17,13 +17,20 @@ from agent.numerics.inference.spectral.algebra import inverse, log_determinant
 from agent.types import FloatArray, IntArray
 
 
-def hardening(at: Linearised, cubes: IntArray, temper: float) -> float:
+def hardening(lineariser: Lineariser, at: Linearised, known: Knowledge, temper: float) -> float:
     """Log evidence of a window that springs harden otherwise than is known, all else as it is known.
 
-    cubes: springs, by their constants.  temper: by how much less the window says than its linearisation has
-    it.
+    temper: by how much less the window says than its linearisation has it.
     """
-    return _evidence(*_beside(at, at.regression.layout.xi.start + cubes, temper), tuning.OFF_CUBIC**2)
+    straight = lineariser.spread(known.constants)
+    every = lineariser.rig.of_kind("cubic")
+    found = -np.inf
+    for which in (*every[:, None], every):
+        bent = lineariser.spread(known.constants, which)
+        other = opened(lineariser, at, known, which)
+        gain = (at.left - other.left) / temper + at.log_precision - other.log_precision
+        found = max(found, 0.5 * float(gain + log_determinant(straight) - log_determinant(bent)))
+    return found
 
 
 def opened(lineariser: Lineariser, at: Linearised, known: Knowledge, which: IntArray) -> Linearised:
@@ -37,35 +44,29 @@ def opened(lineariser: Lineariser, at: Linearised, known: Knowledge, which: IntA
 
 def changing(at: Linearised, temper: float, *, jumps: bool = True) -> float:
     """Log evidence of a window that its parameters run on, or jump once; 0 without columns of jumps."""
-    layout = at.regression.layout
+    layout, (V, fit) = at.regression.layout, at.fitted
     if not layout.cuts:
         return 0.0
     q = layout.q
-    variance = tuning.LINE_SD**2
-    J, g = _beside(at, np.arange(layout.base, layout.base + layout.cuts * q), temper)
+    columns = slice(layout.base, layout.base + layout.cuts * q)
+    cross = at.G[: layout.base, columns]
+    J = (at.G[columns, columns] - cross.T @ V @ cross) / temper
+    g = (at.G[columns, -1] - cross.T @ fit) / temper
     # a line is equal jumps at all cuts
     line = np.tile(np.eye(q), layout.cuts).T / layout.cuts
-    found = _evidence(line.T @ J @ line, line.T @ g, variance)
+    found = _evidence(line.T @ J @ line, line.T @ g)
     if not jumps:
         return found
-    price = float(np.log(layout.cuts))
     each = [slice(i * q, (i + 1) * q) for i in range(layout.cuts)]
-    return max(found, *(_evidence(J[cut, cut], g[cut], variance) - price for cut in each))
+    return max(found, *(_evidence(J[cut, cut], g[cut]) - float(np.log(layout.cuts)) for cut in each))
 
 
-def _beside(at: Linearised, columns: IntArray, temper: float) -> tuple[FloatArray, FloatArray]:
-    """Information (k, k) and score (k,) of columns beside the base, which takes what it can of them."""
-    base, (V, fit) = at.regression.layout.base, at.fitted
-    cross = at.G[:base, columns]
-    J = at.G[np.ix_(columns, columns)] - cross.T @ V @ cross
-    return J / temper, (at.G[columns, -1] - cross.T @ fit) / temper
-
-
-def _evidence(S: FloatArray, g: FloatArray, variance: float) -> float:
-    """Log Bayes factor for any one of some columns that has a coefficient of a variance, or all of them.
+def _evidence(S: FloatArray, g: FloatArray) -> float:
+    """Log Bayes factor for changes of any one of some parameters, or of all of them.
 
     S (k, k), g (k,): information and score of these.
     """
+    variance = tuning.LINE_SD**2
     own = variance * np.diag(S)
     one = variance * g**2 / (1 + own) - np.log1p(own)
     asked = g @ np.linalg.solve(S + np.eye(len(g)) / variance, g)

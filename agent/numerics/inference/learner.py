@@ -331,7 +331,7 @@ class Learner:
         if not self.rig.cubics:
             return -np.inf
         temper = self._temper(at, known)
-        evidence = hardening(at, self.rig.of_kind("cubic"), temper)
+        evidence = hardening(self.lineariser, at, known, temper)
         every = opened(self.lineariser, at, known, self.rig.of_kind("cubic"))
         explained = self._tests(every, known).excess <= tuning.EXPLAINED_SD
         if evidence < tuning.HARD_EVIDENCE or not explained:
@@ -347,7 +347,7 @@ class Learner:
         if not self.rig.cubics or not windows:
             return False
         often = windows < tuning.SETTLED or windows % tuning.SELDOM == 0
-        return often or hardening(at, self.rig.of_kind("cubic"), self._temper(at, known)) > 0
+        return often or hardening(self.lineariser, at, known, self._temper(at, known)) > 0
 
     def contested(self, window: Window, known: Knowledge, posterior: Posterior) -> bool:
         """Whether a change of the noise explains a window as well as a jump of the parameters does."""

@@ -13,7 +13,7 @@ from agent.numerics.inference.noise.rounding import Rounding, RoundingErrors, re
 from agent.numerics.inference.noise.state import Noise
 from agent.numerics.inference.posterior import Footing, Knowledge, Place, shifted
 from agent.numerics.inference.scatter import by_repeats
-from agent.numerics.inference.spectral.algebra import inverse, refined, scales, shown
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant, refined, scales, shown
 from agent.numerics.inference.spectral.bins import bins_of
 from agent.numerics.inference.spectral.columns import Layout, Regression, Regressor, Window
 from agent.numerics.inference.spectral.covariance import Cells, HighPower, inverse_of, real_gram
@@ -69,6 +69,12 @@ class Linearised:
         """Power that the base columns leave of the readings, and of where the prior has them."""
         b = self.G[: self.regression.layout.base, -1] + self.ridge.b
         return float(self.G[-1, -1] - b @ self.fitted[1])
+
+    @property
+    def log_precision(self) -> float:
+        """Log determinant of the precision of the base columns' deviations."""
+        nb = self.regression.layout.base
+        return float(log_determinant(self.G[:nb, :nb] + self.ridge.R))
 
     @cached_property
     def _alone(self) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -13,11 +13,9 @@ from agent.numerics.estimator.operating_point import operating_point, taps_of
 from agent.numerics.estimator.reading import read
 from agent.numerics.estimator.record import Record
 from agent.numerics.inference.constants import Constants
-from agent.numerics.inference.hardening import hardening
 from agent.numerics.inference.learner import Learner
 from agent.numerics.inference.posterior import Knowledge
 from agent.numerics.inference.spectral.columns import Window
-from agent.numerics.inference.tuning import OFF_CUBIC
 from agent.numerics.inference.verdicts import beliefs
 from agent.numerics.model.uncertain import Rig
 from agent.numerics.window.stream import Stream
@@ -120,35 +118,6 @@ def test_bank_rows_of_springs_that_harden_are_the_learners_windows(name: str) ->
         # rows are up to 2.5 sds from the point: what the forms differ by is of the second order
         assert np.abs((rows.theta[i] - said.theta) / said.sd).max() < 0.03
         assert np.abs(np.log(rows.sd[i] / said.sd)).max() < 0.02
-
-
-@pytest.mark.parametrize("shares", [(0.0, 0.0), (SHARE, 0.0), (SHARE, SHARE)])
-def test_evidence_that_springs_harden_is_that_of_their_constants_opened(shares: tuple[float, float]) -> None:
-    """Each cube's prior variance larger by what an open one has: by determinants of all columns."""
-    record, _ = played(8, shares)
-    rig = rig_of(TWO)
-    learner = learner_of(rig)
-    window = record.window(SAMPLES - 1, TWO.window)
-    known = learner.lineariser.prepared(window, learner.prior(np.array(TWO.noise), np.full(2, 0.3)))
-    at = learner.lineariser.linearised(window, known, jumps=False)
-    cubes = rig.of_kind("cubic")
-
-    def log_evidence(R: np.ndarray) -> float:
-        """Up to what all share; the prior has its mean where the window is linearised."""
-        nb, xi = len(R), at.regression.layout.xi
-        M = at.G[:nb, :nb] + R
-        left = at.G[-1, -1] - at.G[:nb, -1] @ np.linalg.solve(M, at.G[:nb, -1])
-        return -0.5 * float(left + np.linalg.slogdet(M)[1] - np.linalg.slogdet(R[xi, xi])[1])
-
-    assert not at.ridge.b.any()
-    gains = []
-    for which in (*cubes[:, None], cubes):
-        R, xi = at.ridge.R.copy(), at.regression.layout.xi
-        P = np.linalg.inv(R[xi, xi])
-        P[which, which] += OFF_CUBIC**2
-        R[xi, xi] = np.linalg.inv(P)
-        gains.append(log_evidence(R) - log_evidence(at.ridge.R))
-    assert hardening(at, cubes, 1.0) == pytest.approx(max(gains), rel=1e-3, abs=1e-3)
 
 
 def test_bank_takes_no_cube_while_springs_are_believed_to_be_straight() -> None:

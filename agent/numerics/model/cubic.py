@@ -82,5 +82,5 @@ def extensions(y: FloatArray, cubics: tuple[Cubic, ...]) -> FloatArray:
 def cubed(y: FloatArray, cubics: tuple[Cubic, ...]) -> FloatArray:
     """Return k e³ (N, s) of springs, N m², from outputs (N, p)."""
     e = extensions(y, cubics)
-    # a power of 3 takes ten times as long
+    # a power of 3 takes thirty times as long
     return np.asarray(e * e * e * np.array([cubic.stiffness for cubic in cubics]))

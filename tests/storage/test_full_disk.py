@@ -129,7 +129,9 @@ def test_start_on_a_full_disk_makes_room_for_itself(disk: Path) -> None:
     assert os.statvfs(disk).f_bavail * os.statvfs(disk).f_frsize >= 0
 
 
+@pytest.mark.realtime
 def test_full_disk_that_stays_full_gives_the_place_of_the_oldest_hour_to_new_rows(disk: Path) -> None:
+    """Rows come at a pace of their own: memory holds five seconds of them, and half of it is waited for."""
     path = disk / "rig.db"
     writer = StoreWriter(lambda: Store.open(path, Retention()), [run_info()], period_s=0.05, most_cells=8000)
     writer.start()

@@ -218,20 +218,36 @@ class Lineariser:
     def begun(self, window: Window, known: Knowledge) -> Knowledge:
         """Return what is known at parameters and constants from which a first window is straight.
 
-        From the best common factor on, both move: what they share is straight in their logarithms alone. As
-        it was where constants would be off as none is: millimetres for metres are no gain.
+        Beside unknown forces that could be all of the motion, what a model leaves is the error of its
+        equations of motion, in which parameters and logarithms of constants are nearly straight: one minimum,
+        however far modes are from where they are configured. From there on forces are taken away step by step
+        (continuation: Allgower & Georg, Numerical Continuation Methods (1990), ch. 1). As it was where
+        constants would be off as none is: millimetres for metres are no gain.
         """
-        before = known
-        known = self._scaled(window, known)
+        before, own = known, known.noise
         no_cuts = np.zeros(0, dtype=np.int64)
-        at = self.point(window, known, known.theta, no_cuts)
-        for _ in range(tuning.STEPS):
-            lower = self._both_lower(window, known, at)
-            if lower is None:
-                break
-            known = lower
+        forces = self._wholly(window, known)
+        for share in tuning.BEGINNING:
+            known = replace(known, noise=replace(own, intensity=share * forces))
             at = self.point(window, known, known.theta, no_cuts)
-        return known if _improbable(known) < tuning.MISMATCH_SD**2 else before
+            for _ in range(tuning.STEPS):
+                lower = self._both_lower(window, known, at)
+                if lower is None:
+                    break
+                known = lower
+                at = self.point(window, known, known.theta, no_cuts)
+        return replace(known, noise=own) if _improbable(known) < tuning.MISMATCH_SD**2 else before
+
+    def _wholly(self, window: Window, known: Knowledge) -> FloatArray:
+        """Return intensities (a,) at which each white force alone would be as strong as all of a motion."""
+        response = self._at(known.theta, known, known.kept)
+        gain = Regressor(self.rig, response, self.sources, known.eta).output_gain
+        cells = self._sources_at(response, gain)
+        moved = float((window.y.var(axis=0) / known.noise.white).sum())
+        shown = (np.abs(cells.D) ** 2 / known.noise.white[:, None]).sum(axis=1)
+        mean = cells.weight @ shown / cells.weight.sum()
+        white = np.array([source.kind == "force" and source.pole == 0 for source in self.sources])
+        return np.where(white, np.sqrt(moved / np.maximum(mean, 1e-300)), 0.0)
 
     def _both_lower(self, window: Window, known: Knowledge, at: Linearised) -> Knowledge | None:
         """What is known where the cost falls along a step of both; None at rest, or if there is none."""
@@ -249,19 +265,6 @@ class Lineariser:
             if self._cost(at, trial, given=True) + _improbable(there) < before:
                 return there
         return None
-
-    def _scaled(self, window: Window, known: Knowledge) -> Knowledge:
-        """Return what is known at the common factor on all parameters that describes a window best.
-
-        It turns all frequencies: between lightly damped modes no descent finds the way.
-        """
-        at = self.point(window, known, known.theta, np.zeros(0, dtype=np.int64))
-
-        def cost(by: float) -> float:
-            return self._cost(at, self._trial(at, window, known, known.theta * np.exp(by))[0], False)
-
-        steps = tuning.SCALING * np.arange(-tuning.SCALINGS, tuning.SCALINGS + 1)
-        return replace(known, theta=known.theta * np.exp(min(steps, key=cost)))
 
     def _descended(
         self, window: Window, known: Knowledge, jumps: bool, steps: int, given: bool

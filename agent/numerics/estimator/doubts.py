@@ -83,6 +83,10 @@ class Doubts:
         """Return which (l,) of a window's lost readings (l, 2) are suspect; `first` is its first sample."""
         return np.array([(first + row, channel) in self.size for row, channel in lost.tolist()], dtype=bool)
 
+    def read(self, lost: IntArray, first: int) -> FloatArray:
+        """Return what each (l,) of a window's lost readings (l, 2) was above its replacement; 0 if not suspect."""
+        return np.array([self.size.get((first + row, channel), 0.0) for row, channel in lost.tolist()])
+
     def due(self, newest: int, window: int) -> set[Place]:
         """Return the undecided ones in a window ending with sample `newest`, a quarter of it after them.
 

@@ -178,10 +178,11 @@ class Explainer:
         assert self.known is not None  # noqa: S101 - set by whoever calls
         self.bank.move(record, self.known, posterior, newest)
 
-    def window(self, record: Record, newest: int) -> tuple[Window, FloatArray]:
+    def window(self, record: Record, newest: int, *, as_read: bool = False) -> tuple[Window, FloatArray]:
         """Return the window ending with a sample, suspect inputs near what the motion asks, and by how much.
 
-        A blow moves what the window is linearised about, so it must be in before anything is solved.
+        A blow moves what the window is linearised about, so it must be in before anything is solved. as_read:
+        suspect inputs as they were read, where other parameters than are known may have moved.
         """
         window = record.window(newest, self.settings.plan.window)
         known = self.known
@@ -189,6 +190,9 @@ class Explainer:
         doubted = self.doubts.among(window.lost, newest + 1 - window.length)
         if known is None or not known.kept or not doubted.any():  # no window was learnt from
             return window, moved
+        if as_read:
+            read = self.doubts.read(window.lost, newest + 1 - window.length)
+            return refilled(window, read, self.settings.rig), read
         for _ in range(REFILLS):
             change = np.where(doubted, self.learner.lost_readings(window, known, moved)[0], 0.0)
             window, moved = refilled(window, change, self.settings.rig), moved + change
@@ -339,6 +343,11 @@ class Explainer:
         window = self.window(record, newest)[0]
         now = self._known_at(known, newest)
         posterior, at = self.learner.solve(window, now)
+        if not posterior.holds and self._since(newest) >= self.settings.plan.window:
+            whole = self.window(record, newest, as_read=True)[0]
+            anew, there = self.learner.solve(whole, now, anew=True)
+            if anew.holds:
+                window, posterior, at = whole, anew, there
         self._last = (window, posterior)
         self._hardens = -np.inf
         if not posterior.holds:

@@ -278,14 +278,17 @@ class Learner:
         return np.where(unknown, np.maximum(self.log_floor, noise.log_sigma - 2 * spread), noise.log_sigma)
 
     def solve(
-        self, window: Window, known: Knowledge, steps: int = tuning.STEPS
+        self, window: Window, known: Knowledge, steps: int = tuning.STEPS, anew: bool = False
     ) -> tuple[Posterior, Linearised]:
         """Return what a window says under what is known, and where it came to rest; nothing is learnt.
 
-        Nor of the constants: it may share most of its samples with one that was learnt from.
+        Nor of the constants: it may share most of its samples with one that was learnt from. anew: it begins
+        as a first window does, since its parameters may be anywhere.
         """
         known = _of(window, known)
-        at = self.lineariser.linearised(window, known, jumps=known.noise.is_started, steps=steps)
+        begun = self.lineariser.begun(window, known).theta if anew else known.theta
+        jumps = known.noise.is_started
+        at = self.lineariser.linearised(window, replace(known, theta=begun), jumps, steps)
         return self._posterior(at, known, known.constants), at
 
     def moved_to(self, at: Linearised, known: Knowledge, same: bool) -> Knowledge:

@@ -228,7 +228,7 @@ class Lineariser:
         no_cuts = np.zeros(0, dtype=np.int64)
         forces = self._wholly(window, known)
         for share in tuning.BEGINNING:
-            known = replace(known, noise=replace(own, intensity=share * forces))
+            known = replace(known, noise=replace(own, intensity=np.hypot(own.intensity, share * forces)))
             at = self.point(window, known, known.theta, no_cuts)
             for _ in range(tuning.STEPS):
                 lower = self._both_lower(window, known, at)
@@ -330,10 +330,7 @@ class Lineariser:
         there = replace(known, eta=eta)
         for _ in range(tuning.STEPS):
             theta = np.maximum(theta, self.rig.lower)
-            try:
-                columns, unit = self._trial(at, window, there, theta)
-            except np.linalg.LinAlgError:  # nothing is left of the parameters, and outputs show no state
-                return None
+            columns, unit = self._trial(at, window, there, theta)
             G = at.cells.gram(at.Si, columns.X)
             at = replace(at, theta=theta, unit=unit, regression=columns, G=G)
             step, V, _ = at.given

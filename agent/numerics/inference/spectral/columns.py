@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.numerics.inference.spectral.algebra import inverse
 from agent.numerics.inference.spectral.bins import unitary
 from agent.numerics.inference.spectral.response import Response, end_states
 from agent.numerics.inference.spectral.sources import Source, end_effects
@@ -256,10 +257,7 @@ class Regressor:
         response = self.response
         n = response.starts.shape[1]
         G = weigh(np.concatenate([gamma[..., :n], residual[..., None]], axis=2))
-        ridge = 1e-13 * np.trace(G[:n, :n]) * np.eye(n)
-        return np.asarray(
-            response.starts @ (np.linalg.solve(G[:n, :n] + ridge, G[:n, n]) / response.gamma_scale[:n])
-        )
+        return np.asarray(response.starts @ (inverse(G[:n, :n]) @ G[:n, n] / response.gamma_scale[:n]))
 
     def _placed(
         self, x0: FloatArray, u: FloatArray, y_mean: FloatArray, u_mean: FloatArray, edges: IntArray

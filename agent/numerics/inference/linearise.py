@@ -225,18 +225,20 @@ class Lineariser:
         constants would be off as none is: millimetres for metres are no gain.
         """
         before, own = known, known.noise
-        no_cuts = np.zeros(0, dtype=np.int64)
         forces = self._wholly(window, known)
         for share in tuning.BEGINNING:
             known = replace(known, noise=replace(own, intensity=np.hypot(own.intensity, share * forces)))
-            at = self.point(window, known, known.theta, no_cuts)
+            at = self._beside_forces(window, known)
             for _ in range(tuning.STEPS):
                 lower = self._both_lower(window, known, at)
                 if lower is None:
                     break
-                known = lower
-                at = self.point(window, known, known.theta, no_cuts)
+                known, at = lower
         return replace(known, noise=own) if _improbable(known) < tuning.MISMATCH_SD**2 else before
+
+    def _beside_forces(self, window: Window, known: Knowledge) -> Linearised:
+        """A window at what is known, linearised with the motion that unknown forces make in it."""
+        return self.point(window, known, known.theta, np.zeros(0, dtype=np.int64), joint=True)
 
     def _wholly(self, window: Window, known: Knowledge) -> FloatArray:
         """Return intensities (a,) at which each white force alone would be as strong as all of a motion."""
@@ -249,8 +251,13 @@ class Lineariser:
         white = np.array([source.kind == "force" and source.pole == 0 for source in self.sources])
         return np.where(white, np.sqrt(moved / np.maximum(mean, 1e-300)), 0.0)
 
-    def _both_lower(self, window: Window, known: Knowledge, at: Linearised) -> Knowledge | None:
-        """What is known where the cost falls along a step of both; None at rest, or if there is none."""
+    def _both_lower(
+        self, window: Window, known: Knowledge, at: Linearised
+    ) -> tuple[Knowledge, Linearised] | None:
+        """What is known where the cost falls along a step of both, and the window there.
+
+        None at rest, or if there is none.
+        """
         layout = at.regression.layout
         _, step = at.fitted
         if self._length(at, step[layout.psi], np.sqrt(np.diag(at.given[1]))) <= 1.0:
@@ -261,9 +268,9 @@ class Lineariser:
             there = replace(known, theta=theta, eta=known.eta + share * step[layout.xi])
             if _improbable(there) > tuning.ASTRAY_SD**2:
                 return None
-            trial, _ = self._trial(at, window, there, theta)
-            if self._cost(at, trial, given=True) + _improbable(there) < before:
-                return there
+            trial = self._beside_forces(window, there)
+            if self._cost(trial, trial.regression, given=True) + _improbable(there) < before:
+                return there, trial
         return None
 
     def _descended(
@@ -352,9 +359,14 @@ class Lineariser:
         columns = regressor.build(window, lambda X: at.cells.gram(at.Si, X), no_cuts, whole=False)
         return columns, response.at.unit
 
-    def point(self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray) -> Linearised:
-        """Return the window at theta (q,), with columns of jumps at `cuts`."""
-        regressor, regression, cells, Si = self._regressed(window, known, theta, cuts)
+    def point(
+        self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray, joint: bool = False
+    ) -> Linearised:
+        """Return the window at theta (q,), with columns of jumps at `cuts`.
+
+        joint: with the motion that unknown forces make in it.
+        """
+        regressor, regression, cells, Si = self._regressed(window, known, theta, cuts, joint)
         response, noise = regressor.response, known.noise
         G = cells.gram(Si, regression.X)
         G[-1, -1] += HighPower(response, regression.high, noise.levels).quadratic(Si)
@@ -377,7 +389,7 @@ class Lineariser:
         return at if noise.rounding is None else _rounded(at, window, noise.rounding, cuts)
 
     def _regressed(
-        self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray
+        self, window: Window, known: Knowledge, theta: FloatArray, cuts: IntArray, joint: bool = False
     ) -> tuple[Regressor, Regression, Cells, ComplexArray]:
         """The columns of a window at theta (q,), by what made them, with S⁻¹ on its cells."""
         self.evaluations += 1
@@ -389,7 +401,7 @@ class Lineariser:
         Si = inverse_of(cells.covariance(noise.white, noise.levels, noise.intensity))
         regression = regressor.build(
             window, lambda X: cells.gram(Si, X), cuts,
-            lambda left: self._driven(cells, noise, (Si[: cells.kept] @ left[..., None])[..., 0]),
+            lambda left: self._driven(cells, noise, (Si[: cells.kept] @ left[..., None])[..., 0]), joint=joint,
         )  # fmt: skip
         return regressor, regression, cells, Si
 

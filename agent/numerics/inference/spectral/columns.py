@@ -191,12 +191,14 @@ class Regressor:
         cuts: IntArray,
         driven: Callable[[ComplexArray], ComplexArray] | None = None,
         whole: bool = True,
+        joint: bool = False,
     ) -> Regression:
         """Return the regression; `weigh` gives the columns' Gram under today's noise, for the initial state.
 
         driven: takes readings (kept, p) to the states (kept, n) that unknown forces drive. The initial state
         of the periodic response is e0; the state that the window began with is e0 and what those forces had
-        driven by then. whole: with the high bins; a trial of a step asks for none of them.
+        driven by then. whole: with the high bins; a trial of a step asks for none of them. joint: columns are
+        of the motion that those forces make too, as where parameters and forces are sought together.
         """
         response, at, bins = self.response, self.response.at, self.response.bins
         u = self.inputs(window)
@@ -222,11 +224,13 @@ class Regressor:
         if response.is_free:
             X[0] = sums[-1] / np.sqrt(bins.window)
         modelled = self._outputs(X, low)
+        residual = fy[: bins.kept] - modelled
+        moved = X + driven(residual) if joint and driven is not None else X
         ends = end_effects(response, self._ending, self.output_gain)
-        parts = [gamma, ends, self._lost(window), *self._parameters(X, low)]
-        parts.append(self._constants(window, modelled, X, low))
+        parts = [gamma, ends, self._lost(window), *self._parameters(moved, low)]
+        parts.append(self._constants(window, self._outputs(moved, low), moved, low))
         parts += self._jumps(u, x0, forced, edges, sums)
-        parts.append((fy[: bins.kept] - modelled)[..., None])
+        parts.append(residual[..., None])
         X_all = np.concatenate(parts, axis=2)
         above = high = np.zeros((0, len(self.output_gain)), dtype=complex)
         if whole:

@@ -25,7 +25,7 @@ def differences(committed: Sequence[str], found: Sequence[str], *, same_machine:
 def _near(old: str, new: str) -> bool:
     """Whether two lines differ by less than the rounding of another machine's arithmetic."""
     if all(_HASHED.match(line) for line in (old, new)):
-        return old.split(" sha256 ")[0] == new.split(" sha256 ")[0]
+        return old.partition(" sha256 ")[0] == new.partition(" sha256 ")[0]
     olds, news = old.split(), new.split()
     scale = next((float(token[3:]) for token in olds if token.startswith("sd=") and token != "sd=-"), None)
     return len(olds) == len(news) and all(_near_figure(a, b, scale) for a, b in zip(olds, news, strict=True))

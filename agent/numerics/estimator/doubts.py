@@ -84,7 +84,7 @@ class Doubts:
         return np.array([(first + row, channel) in self.size for row, channel in lost.tolist()], dtype=bool)
 
     def read(self, lost: IntArray, first: int) -> FloatArray:
-        """Return what each (l,) of a window's lost readings (l, 2) reads above its replacement; 0 if trusted."""
+        """Return by how much lost readings (l, 2) exceed their replacements (l,); 0 if trusted."""
         return np.array([self.size.get((first + row, channel), 0.0) for row, channel in lost.tolist()])
 
     def due(self, newest: int, window: int) -> set[Place]:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
+from agent.numerics.inference.beginning import Beginning
 from agent.numerics.inference.constants import Constants, apart_of, farthest, hypotheses_of
 from agent.numerics.inference.friction import columns, frictions
 from agent.numerics.inference.hardening import changing, hardening, opened
@@ -76,6 +77,7 @@ class Learner:
         self.cuts = np.unique(np.round(np.array(tuning.CUTS) * window).astype(np.int64))
         self.threshold = float(chdtri(rig.q, tuning.JUMP_LEVEL))
         self.lineariser = Lineariser(rig, window, outputs, self.sources, self.cuts)
+        self.beginning = Beginning(self.lineariser)
 
     def prior(self, sigma: FloatArray, spread: FloatArray) -> Knowledge:
         """Return what is known before any window; sigma (p,) stated or guessed, spread (p,) of its log."""
@@ -168,7 +170,7 @@ class Learner:
 
     def _begun(self, window: Window, known: Knowledge, at: Linearised) -> tuple[Linearised, Knowledge, Noise]:
         """Return a first window from elsewhere, or under other noise: what is known there, and that noise."""
-        begun = self.lineariser.begun(window, known)
+        begun = self.beginning.of(window, known)
         elsewhere = at if begun is known else self.lineariser.linearised(window, begun, jumps=False)
         if elsewhere.converged:
             return elsewhere, begun, begun.noise
@@ -286,19 +288,20 @@ class Learner:
         as a first window does, since its parameters may be anywhere.
         """
         known = _of(window, known)
-        begun = self.lineariser.begun(window, known).theta if anew else known.theta
-        jumps = known.noise.is_started
-        at = self.lineariser.linearised(window, replace(known, theta=begun), jumps, steps)
+        if anew:
+            begun = self.beginning.of(window, known)
+            known = replace(known, theta=begun.theta, kept=begun.kept)
+        at = self.lineariser.linearised(window, known, known.noise.is_started, steps)
         return self._posterior(at, known, known.constants), at
 
     def moved_to(self, at: Linearised, known: Knowledge, same: bool) -> Knowledge:
-        """Return what is known with its point where a window came to rest.
+        """Return what is known with its point where a window came to rest, and the bins it kept.
 
         same: it says what windows before it said: no window alone is then the point, since of some directions
         one window may know next to nothing.
         """
         theta, footing = self.lineariser.nearer(at, known, known.eta, known.eta, same)
-        return replace(known, theta=theta if same else at.theta, footing=footing)
+        return replace(known, theta=theta if same else at.theta, footing=footing, kept=at.cells.kept)
 
     def at_point(
         self, window: Window, known: Knowledge, jumps: bool = False, cuts: IntArray | None = None

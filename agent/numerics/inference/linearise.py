@@ -158,7 +158,7 @@ class Lineariser:
         known = replace(known, eta=mean) if far.any() else known
         before = known.kept_for
         due = known.noise.windows in (0, 1, 3, 9, 27) or before is None or known.noise.is_other_than(before)
-        return replace(known, kept=self._kept(window, known), kept_for=known.noise) if due else known
+        return replace(known, kept=self.kept(window, known), kept_for=known.noise) if due else known
 
     def placed(self, known: Knowledge) -> Knowledge:
         """Return what is known at the newest window's place where that is as good: its model is at hand."""
@@ -215,64 +215,6 @@ class Lineariser:
         again = self._descended(window, known, jumps, steps, given=True)
         return again if again.converged else at
 
-    def begun(self, window: Window, known: Knowledge) -> Knowledge:
-        """Return what is known at parameters and constants from which a first window is straight.
-
-        Beside unknown forces that could be all of the motion, what a model leaves is the error of its
-        equations of motion, in which parameters and logarithms of constants are nearly straight: one minimum,
-        however far modes are from where they are configured. From there on forces are taken away step by step
-        (continuation: Allgower & Georg, Numerical Continuation Methods (1990), ch. 1). As it was where
-        constants would be off as none is: millimetres for metres are no gain.
-        """
-        before, own = known, known.noise
-        forces = self._wholly(window, known)
-        for share in tuning.BEGINNING:
-            known = replace(known, noise=replace(own, intensity=np.hypot(own.intensity, share * forces)))
-            at = self._beside_forces(window, known)
-            for _ in range(tuning.STEPS):
-                lower = self._both_lower(window, known, at)
-                if lower is None:
-                    break
-                known, at = lower
-        return replace(known, noise=own) if _improbable(known) < tuning.MISMATCH_SD**2 else before
-
-    def _beside_forces(self, window: Window, known: Knowledge) -> Linearised:
-        """A window at what is known, linearised with the motion that unknown forces make in it."""
-        return self.point(window, known, known.theta, np.zeros(0, dtype=np.int64), joint=True)
-
-    def _wholly(self, window: Window, known: Knowledge) -> FloatArray:
-        """Return intensities (a,) at which each white force alone would be as strong as all of a motion."""
-        response = self._at(known.theta, known, known.kept)
-        gain = Regressor(self.rig, response, self.sources, known.eta).output_gain
-        cells = self._sources_at(response, gain)
-        moved = float((window.y.var(axis=0) / known.noise.white).sum())
-        shown = (np.abs(cells.D) ** 2 / known.noise.white[:, None]).sum(axis=1)
-        mean = cells.weight @ shown / cells.weight.sum()
-        white = np.array([source.kind == "force" and source.pole == 0 for source in self.sources])
-        return np.where(white, np.sqrt(moved / np.maximum(mean, 1e-300)), 0.0)
-
-    def _both_lower(
-        self, window: Window, known: Knowledge, at: Linearised
-    ) -> tuple[Knowledge, Linearised] | None:
-        """What is known where the cost falls along a step of both, and the window there.
-
-        None at rest, or if there is none.
-        """
-        layout = at.regression.layout
-        _, step = at.fitted
-        if self._length(at, step[layout.psi], np.sqrt(np.diag(at.given[1]))) <= 1.0:
-            return None
-        before = self._cost(at, at.regression, given=True) + _improbable(known)
-        for share in 0.5 ** np.arange(tuning.HALVINGS):
-            theta = np.maximum(shifted(at.theta, share * at.unit * step[layout.psi]), self.rig.lower)
-            there = replace(known, theta=theta, eta=known.eta + share * step[layout.xi])
-            if _improbable(there) > tuning.ASTRAY_SD**2:
-                return None
-            trial = self._beside_forces(window, there)
-            if self._cost(trial, trial.regression, given=True) + _improbable(there) < before:
-                return there, trial
-        return None
-
     def _descended(
         self, window: Window, known: Knowledge, jumps: bool, steps: int, given: bool
     ) -> Linearised:
@@ -303,18 +245,21 @@ class Lineariser:
         linear = self.rig.nominal == 0
         longest = np.where(linear, np.inf, tuning.LONGEST_STEP)
         share = 1.0
-        before = self._cost(at, at.regression, given) + self._strayed(at.theta, known)
+        before = self.cost(at, at.regression, given) + self._strayed(at.theta, known)
         for _ in range(tuning.HALVINGS):
             moved = at.theta + at.unit * np.clip(share * delta, -longest, 2 * longest)
             moved = np.maximum(moved, self.rig.lower)
             trial, _ = self._trial(at, window, known, moved)
-            if self._cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
+            if self.cost(at, trial, given) + self._strayed(moved, known) <= before + 1.0:
                 return np.asarray(moved)
             share *= 0.5
         return None
 
-    def _cost(self, at: Linearised, regression: Regression, given: bool) -> float:
-        """Twice the negative log posterior of a trajectory under a point's noise, all but parameters free."""
+    def cost(self, at: Linearised, regression: Regression, given: bool) -> float:
+        """Return twice the negative log posterior of a trajectory under a point's noise.
+
+        All but the parameters, and the constants where they are given, are free.
+        """
         X = regression.without_jumps
         G = at.cells.gram(at.Si, X)
         layout = regression.layout
@@ -341,7 +286,7 @@ class Lineariser:
             G = at.cells.gram(at.Si, columns.X)
             at = replace(at, theta=theta, unit=unit, regression=columns, G=G)
             step, V, _ = at.given
-            if self._length(at, step, np.sqrt(np.diag(V))) <= 1.0:
+            if self.length(at, step, np.sqrt(np.diag(V))) <= 1.0:
                 return at
             longest = tuning.LONGEST_STEP
             theta = at.theta + at.unit * np.clip(step, -longest, 2 * longest)
@@ -401,7 +346,8 @@ class Lineariser:
         Si = inverse_of(cells.covariance(noise.white, noise.levels, noise.intensity))
         regression = regressor.build(
             window, lambda X: cells.gram(Si, X), cuts,
-            lambda left: self._driven(cells, noise, (Si[: cells.kept] @ left[..., None])[..., 0]), joint=joint,
+            lambda left: self._driven(cells, noise, (Si[: cells.kept] @ left[..., None])[..., 0]),
+            joint=joint,
         )  # fmt: skip
         return regressor, regression, cells, Si
 
@@ -426,10 +372,10 @@ class Lineariser:
             step = alone - Z @ (self.expected(known.constants) - known.eta)
         else:
             step = at.fitted[1][at.regression.layout.psi]
-        return step, self._length(at, step, np.sqrt(np.diag(V)))
+        return step, self.length(at, step, np.sqrt(np.diag(V)))
 
-    def _length(self, at: Linearised, step: FloatArray, sd: FloatArray) -> float:
-        """Length of a step (q,) of sd (q,); of one that would be cut short infinite."""
+    def length(self, at: Linearised, step: FloatArray, sd: FloatArray) -> float:
+        """Return the length of a step (q,) of sd (q,); of one that would be cut short infinite."""
         held = (at.theta <= self.rig.lower) & (step < 0)
         lengths = np.abs(step) / _straight(sd)
         lengths[np.abs(step) > tuning.LONGEST_STEP] = np.inf
@@ -577,8 +523,11 @@ class Lineariser:
         return np.maximum(here, self.rig.lower), Footing(information, slope)
 
     # ------------------------------------------------------------------ which bins
-    def _kept(self, window: Window, known: Knowledge) -> int:
-        """Fewest bins costing no parameter more than a share of its sd, constants given and at data sheet."""
+    def kept(self, window: Window, known: Knowledge) -> int:
+        """Return the fewest bins that cost no parameter more than a share of its sd.
+
+        With constants as good as given, and as their data sheets have them.
+        """
         total = self.window // 2 + 1
         top = min(total, MOST_BINS)
         if total < ALL_BINS:
@@ -631,12 +580,6 @@ def _stretch(window: Window, rig: Rig) -> FloatArray:
     """Return the mean square (s,) of each spring's extension, m²; 1 of one that does not move."""
     square = (extensions(window.y, rig.cubics) ** 2).mean(axis=0)
     return np.where(square > 0, square, 1.0)
-
-
-def _improbable(known: Knowledge) -> float:
-    """Twice the negative log prior of the constants at which a window is linearised."""
-    apart = known.eta - known.constants.expected
-    return float(apart @ inverse(known.constants.total) @ apart) if len(apart) else 0.0
 
 
 def _straight(sd: FloatArray) -> FloatArray:

@@ -1,5 +1,7 @@
 """A first window of a rig whose modes are elsewhere: parameters and constants move together."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,8 +50,26 @@ def test_parameters_alone_do_not_come_to_rest_where_all_modes_are_elsewhere() ->
     lineariser = LEARNER.lineariser
     prepared = lineariser.prepared(window, known)
     assert not lineariser.linearised(window, prepared, jumps=False).converged
-    begun = lineariser.begun(window, prepared)
+    begun = LEARNER.beginning.of(window, prepared)
     assert lineariser.linearised(window, begun, jumps=False).converged
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_first_window_is_straight_where_parameters_are_many_times_what_is_known_of_them(seed: int) -> None:
+    """Each by a factor of its own, a tenth to ten; what is left for the descent is small against an sd."""
+    factors = np.exp(np.random.default_rng(seed).uniform(-np.log(10), np.log(10), len(RIG.theta)))
+    window = window_with(np.zeros(8), 1.0)
+    known = replace(LEARNER.prior(SIGMA, np.full(3, 0.3)), theta=factors * RIG.theta)
+    lineariser = LEARNER.lineariser
+    prepared = lineariser.prepared(window, known)
+    assert not lineariser.linearised(window, prepared, jumps=False).converged
+    before = lineariser.evaluations
+    begun = LEARNER.beginning.of(window, prepared)
+    assert lineariser.evaluations - before < 40
+    at = lineariser.linearised(window, begun, jumps=False)
+    assert at.converged
+    np.testing.assert_allclose(at.theta[:3], RIG.theta[:3], rtol=1e-3)
+    np.testing.assert_allclose(at.theta[3:], RIG.theta[3:], rtol=0.1)
 
 
 @pytest.mark.parametrize("factor", [3.0, 1000.0])
@@ -57,6 +77,6 @@ def test_a_gain_that_is_off_as_none_is_begins_no_window(factor: float) -> None:
     """A wrong range, and millimetres for metres."""
     window = window_with(np.array([0.0, 0.0, 0.0, np.log(factor), 0.0, 0.0, 0.0, 0.0]), 1.0)
     prepared = LEARNER.lineariser.prepared(window, LEARNER.prior(SIGMA, np.full(3, 0.3)))
-    begun = LEARNER.lineariser.begun(window, prepared)
+    begun = LEARNER.beginning.of(window, prepared)
     assert np.abs(begun.eta).max() < 0.5
     assert not LEARNER.lineariser.linearised(window, begun, jumps=False).converged

@@ -340,10 +340,11 @@ class Explainer:
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
         self.solved += 1
-        window = self.window(record, newest)[0]
+        window, refilled_by = self.window(record, newest)
         now = self._known_at(known, newest)
         posterior, at = self.learner.solve(window, now)
-        if not posterior.holds and self._since(newest) >= self.settings.plan.window:
+        lost_its_way = not posterior.converged or (refilled_by.any() and not posterior.holds)
+        if lost_its_way and self._since(newest) >= window.length:
             whole = self.window(record, newest, as_read=True)[0]
             anew, there = self.learner.solve(whole, now, anew=True)
             if anew.holds:

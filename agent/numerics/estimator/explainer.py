@@ -42,6 +42,7 @@ from agent.numerics.estimator.tuning import (
 )
 from agent.numerics.inference import tuning
 from agent.numerics.inference.learner import Learner
+from agent.numerics.inference.linearise import Linearised
 from agent.numerics.inference.posterior import Knowledge, Posterior
 from agent.numerics.inference.spectral.columns import Window, refilled
 from agent.numerics.inference.verdicts import Belief, beliefs
@@ -340,15 +341,8 @@ class Explainer:
         known = self.known
         assert known is not None  # noqa: S101 - known since the first window
         self.solved += 1
-        window, refilled_by = self.window(record, newest)
         now = self._known_at(known, newest)
-        posterior, at = self.learner.solve(window, now)
-        lost_its_way = not posterior.converged or (refilled_by.any() and not posterior.holds)
-        if lost_its_way and self._since(newest) >= window.length:
-            whole = self.window(record, newest, as_read=True)[0]
-            anew, there = self.learner.solve(whole, now, anew=True)
-            if anew.holds:
-                window, posterior, at = whole, anew, there
+        window, posterior, at = self._at_rest(record, newest, now)
         self._last = (window, posterior)
         self._hardens = -np.inf
         if not posterior.holds:
@@ -361,6 +355,21 @@ class Explainer:
         self.known = self.learner.moved_to(at, known, same)
         self._move(record, posterior, newest)
         return posterior
+
+    def _at_rest(self, record: Record, newest: int, now: Knowledge) -> tuple[Window, Posterior, Linearised]:
+        """A window, what it says, and where it comes to rest.
+
+        A window after rows broke its parameters may be anywhere, and what the motion asked of suspect inputs
+        was asked by parameters that are gone.
+        """
+        window, filled = self.window(record, newest)
+        posterior, at = self.learner.solve(window, now)
+        strayed = not posterior.converged or bool(filled.any())
+        if posterior.holds or not strayed or self._since(newest) < window.length:
+            return window, posterior, at
+        whole = self.window(record, newest, as_read=True)[0]
+        anew, there = self.learner.solve(whole, now, anew=True)
+        return (whole, anew, there) if anew.holds else (window, posterior, at)
 
     def _is_the_same(self, posterior: Posterior) -> bool:
         """Whether an unbroken window says what the one learnt from last said: only the point was poor."""

@@ -57,11 +57,12 @@ class Beginning:
     def _lower(self, window: Window, known: Knowledge, at: Linearised) -> tuple[Knowledge, Linearised] | None:
         """What is known where the cost falls along a step of parameters and constants, and the window there.
 
-        None at rest, or if there is none.
+        None at rest, if there is none, or if enough was evaluated.
         """
         lineariser, layout = self._lineariser, at.regression.layout
         _, step = at.fitted
-        if lineariser.length(at, step[layout.psi], np.sqrt(np.diag(at.given[1]))) <= 1.0:
+        rests = lineariser.length(at, step[layout.psi], np.sqrt(np.diag(at.given[1]))) <= 1.0
+        if rests or lineariser.evaluations >= lineariser.most:
             return None
         before = lineariser.cost(at, at.regression, given=True) + _improbable(known)
         for share in 0.5 ** np.arange(tuning.HALVINGS):

@@ -13,7 +13,7 @@ from agent.numerics.inference import tuning
 from agent.numerics.inference.linearise import Linearised, Lineariser
 from agent.numerics.inference.noise.restricted_likelihood import Ridge
 from agent.numerics.inference.posterior import Knowledge
-from agent.numerics.inference.spectral.algebra import inverse, log_determinant
+from agent.numerics.inference.spectral.algebra import inverse, log_determinant, shown
 from agent.types import FloatArray, IntArray
 
 
@@ -50,8 +50,11 @@ def changing(at: Linearised, temper: float, *, jumps: bool = True) -> float:
     q = layout.q
     columns = slice(layout.base, layout.base + layout.cuts * q)
     cross = at.G[: layout.base, columns]
-    J = (at.G[columns, columns] - cross.T @ V @ cross) / temper
-    g = (at.G[columns, -1] - cross.T @ fit) / temper
+    J, g = shown(
+        (at.G[columns, columns] - cross.T @ V @ cross) / temper,
+        (at.G[columns, -1] - cross.T @ fit) / temper,
+        np.diag(at.G)[columns] / temper,
+    )
     # a line is equal jumps at all cuts
     line = np.tile(np.eye(q), layout.cuts).T / layout.cuts
     found = _evidence(line.T @ J @ line, line.T @ g)

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from agent.numerics.inference import tuning
-from agent.numerics.inference.beginning import Beginning
 from agent.numerics.inference.constants import Constants, apart_of, farthest, hypotheses_of
+from agent.numerics.inference.continuation import Continuation
 from agent.numerics.inference.friction import columns, frictions
 from agent.numerics.inference.hardening import changing, hardening, opened
 from agent.numerics.inference.information import Information, Update
@@ -77,7 +77,7 @@ class Learner:
         self.cuts = np.unique(np.round(np.array(tuning.CUTS) * window).astype(np.int64))
         self.threshold = float(chdtri(rig.q, tuning.JUMP_LEVEL))
         self.lineariser = Lineariser(rig, window, outputs, self.sources, self.cuts)
-        self.beginning = Beginning(self.lineariser)
+        self.continuation = Continuation(self.lineariser)
 
     def prior(self, sigma: FloatArray, spread: FloatArray) -> Knowledge:
         """Return what is known before any window; sigma (p,) stated or guessed, spread (p,) of its log."""
@@ -170,7 +170,7 @@ class Learner:
 
     def _begun(self, window: Window, known: Knowledge, at: Linearised) -> tuple[Linearised, Knowledge, Noise]:
         """Return a first window from elsewhere, or under other noise: what is known there, and that noise."""
-        begun = self.beginning.of(window, known)
+        begun = self.continuation.of(window, known)
         elsewhere = at if begun is known else self.lineariser.linearised(window, begun, jumps=False)
         if elsewhere.converged:
             return elsewhere, begun, begun.noise
@@ -289,7 +289,7 @@ class Learner:
         """
         known = _of(window, known)
         if anew:
-            begun = self.beginning.of(window, known)
+            begun = self.continuation.of(window, known)
             known = replace(known, theta=begun.theta, kept=begun.kept)
         at = self.lineariser.linearised(window, known, known.noise.is_started, steps)
         return self._posterior(at, known, known.constants), at

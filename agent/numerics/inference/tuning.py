@@ -94,7 +94,7 @@ HALVINGS = 8
 """Most times that a Gauss-Newton step that does not lower the cost is halved. Needed by: EMPS."""
 STEPS = 12
 """Most Gauss-Newton steps of one window."""
-BEGINNING = (1.0, 0.3, 0.1, 0.01, 0.0)
+CONTINUATION = (1.0, 0.3, 0.1, 0.01, 0.0)
 """Shares of the whole motion that unknown forces may be, one after another, where a first window does not
 come to rest. Needed by: all masses -20 %, three masses (rig 701415); one mass +16 % (rig 980113)."""
 ASTRAY_SD = 100.0

@@ -17,7 +17,7 @@ from agent.numerics.inference.spectral.columns import Window
 from agent.types import FloatArray
 
 
-class Beginning:
+class Continuation:
     """Finds where a window is straight, by a lineariser of its rig."""
 
     def __init__(self, lineariser: Lineariser) -> None:
@@ -30,7 +30,7 @@ class Beginning:
         """
         before, own = known, known.noise
         forces = self._wholly(window, known)
-        for share in tuning.BEGINNING:
+        for share in tuning.CONTINUATION:
             known = replace(known, kept=self._lineariser.kept(window, replace(known, noise=own)))
             known = replace(known, noise=replace(own, intensity=np.hypot(own.intensity, share * forces)))
             at = self._at(window, known)

@@ -50,7 +50,7 @@ def test_parameters_alone_do_not_come_to_rest_where_all_modes_are_elsewhere() ->
     lineariser = LEARNER.lineariser
     prepared = lineariser.prepared(window, known)
     assert not lineariser.linearised(window, prepared, jumps=False).converged
-    begun = LEARNER.beginning.of(window, prepared)
+    begun = LEARNER.continuation.of(window, prepared)
     assert lineariser.linearised(window, begun, jumps=False).converged
 
 
@@ -64,7 +64,7 @@ def test_first_window_is_straight_where_parameters_are_many_times_what_is_known_
     prepared = lineariser.prepared(window, known)
     assert not lineariser.linearised(window, prepared, jumps=False).converged
     before = lineariser.evaluations
-    begun = LEARNER.beginning.of(window, prepared)
+    begun = LEARNER.continuation.of(window, prepared)
     assert lineariser.evaluations - before < 40
     at = lineariser.linearised(window, begun, jumps=False)
     assert at.converged
@@ -77,6 +77,6 @@ def test_a_gain_that_is_off_as_none_is_begins_no_window(factor: float) -> None:
     """A wrong range, and millimetres for metres."""
     window = window_with(np.array([0.0, 0.0, 0.0, np.log(factor), 0.0, 0.0, 0.0, 0.0]), 1.0)
     prepared = LEARNER.lineariser.prepared(window, LEARNER.prior(SIGMA, np.full(3, 0.3)))
-    begun = LEARNER.beginning.of(window, prepared)
+    begun = LEARNER.continuation.of(window, prepared)
     assert np.abs(begun.eta).max() < 0.5
     assert not LEARNER.lineariser.linearised(window, begun, jumps=False).converged

@@ -50,8 +50,9 @@ def changing(at: Linearised, temper: float, *, jumps: bool = True) -> float:
     q = layout.q
     columns = slice(layout.base, layout.base + layout.cuts * q)
     cross = at.G[: layout.base, columns]
+    left = at.G[columns, columns] - cross.T @ V @ cross
     J, g = shown(
-        (at.G[columns, columns] - cross.T @ V @ cross) / temper,
+        0.5 * (left + left.T) / temper,
         (at.G[columns, -1] - cross.T @ fit) / temper,
         np.diag(at.G)[columns] / temper,
     )
@@ -70,7 +71,7 @@ def _evidence(S: FloatArray, g: FloatArray) -> float:
     S (k, k), g (k,): information and score of these.
     """
     variance = tuning.LINE_SD**2
-    own = variance * np.diag(S)
+    own = variance * np.maximum(np.diag(S), 0.0)  # what is below 0 is rounding
     one = variance * g**2 / (1 + own) - np.log1p(own)
     asked = g @ np.linalg.solve(S + np.eye(len(g)) / variance, g)
     every = asked - log_determinant(np.eye(len(g)) + variance * S)

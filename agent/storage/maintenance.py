@@ -287,12 +287,7 @@ def export_csv(path: Path | str, what: str, output: "SupportsWrite[str]", rig: s
 def export_parquet(path: Path | str, what: str, target: Path | str, rig: str | None = None) -> int:
     """Write a view as a Parquet file; return the row count. Raises UsageError without the extra "parquet"."""
     try:
-        import pyarrow as arrow  # noqa: ICN001 - a word
-        from pyarrow import parquet
+        from agent.storage import parquet_table
     except ImportError as error:
         raise UsageError.at("--parquet", "needs pyarrow", 'pip install "deltak[parquet]"') from error
-    columns, rows = export(path, what, rig)
-    cells = list(zip(*rows, strict=True)) or [()] * len(columns)
-    table = arrow.table({name: arrow.array(column) for name, column in zip(columns, cells, strict=True)})
-    parquet.write_table(table, str(target))
-    return int(table.num_rows)
+    return parquet_table.write(*export(path, what, rig), Path(target))

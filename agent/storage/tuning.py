@@ -13,10 +13,11 @@ READ_BYTES = 1024 * 1024  # bytes of a file read at a time
 SMALL_PAGES = 4096  # files up to this size are read whole at every start
 NEWEST_ROWS = 5000  # rows of each table, the newest, that are proved at every start of a larger file
 
-# read/forward, points, proof, recent, tables
+# read/forward, points, proof, queries, recent, tables
 BATCHES_A_CONNECTION = 200  # after so many the file is opened anew, and its small tables are proved anew
 MOST_POINTS = 50_000  # more points than this and a trend reads a coarser tier
 ROWS_READ = 20_000  # rows that are held in Python's objects at a time
+INSTANTS_READ = 2000  # instants whose rows are given on at a time: 8 MB with four parameters
 POINTS_READ = 1000
 """A row in Python's objects takes ten times as much memory as in arrays; so few are as quick as more."""
 HEALTH_ROWS = 400  # the newest rows of health that are looked through for sources: a row of each every 10 s

@@ -206,6 +206,25 @@ def test_export_parquet_is_the_view(path: Path, tmp_path: Path) -> None:
     assert table.column("reason").null_count == 2000
 
 
+def test_parquet_of_many_rows_has_one_type_a_column_and_is_written_a_batch_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pyarrow import parquet
+
+    from agent.storage import parquet_table
+
+    monkeypatch.setattr(parquet_table, "ROWS_READ", 3)
+    rows = [(i, None if i < 8 else f"r{i}", float(i) if i > 4 else i, None) for i in range(10)]
+    assert parquet_table.write(["a", "b", "c", "d"], rows, tmp_path / "t.parquet") == 10
+    table = parquet.read_table(tmp_path / "t.parquet")
+    assert [str(kind) for kind in table.schema.types] == ["int64", "string", "double", "null"]
+    assert list(zip(*(column.to_pylist() for column in table.columns), strict=True)) == rows
+    assert parquet.ParquetFile(tmp_path / "t.parquet").num_row_groups == 4
+    assert parquet_table.write(["a", "b"], [], tmp_path / "none.parquet") == 0
+    assert parquet.read_table(tmp_path / "none.parquet").column_names == ["a", "b"]
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["none.parquet", "t.parquet"]
+
+
 def test_export_of_one_rig_has_its_steps_of_alarms_alone(tmp_path: Path) -> None:
     path = tmp_path / "both.db"
     with Store.open(path) as store:

@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from agent.errors import UsageError
 from agent.storage.read import queries
 from agent.storage.read.points import points_of
 from agent.storage.read.times import age_ns, parse_time
+from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
 from agent.text import iso_time
 from tests.storage.rows import HOP, START, batch, ledger, run_info, step, warming
@@ -129,3 +131,58 @@ def test_lists_name_what_there_is(path: Path) -> None:
     assert queries.health(path)[0]["reasons"]["rejected"] == {"crc": 3, "duplicate": 2}
     assert [a["parameter"] for a in queries.alarms(path, rig="press-7", active=True)] == ["k1"]
     assert queries.alarms(path, rig="press-8") == []
+
+
+@pytest.fixture(scope="module")
+def ages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rigs that ran at once, one of them twice; hours and minutes of what is older than a few minutes."""
+    path = tmp_path_factory.mktemp("ages") / "ages.db"
+    second = 10**9
+    with Store.open(path, Retention(600, 3600, float("inf"))) as store:
+        for rig, start, every in (("press-7", 0, 1), ("press-8", 3000, 7), ("press-7", 9000, 1)):
+            run = store.begin_run(run_info(rig))
+            for first in range(0, 7200 // every, 600):
+                at = START + start * second
+                store.write(run, [batch(600, rig=rig, first=first, start=at, hop_ns=every * second)])
+        store.maintain(finish=True)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("rig", "parameter", "since"),
+    [(None, None, None), (None, "k2", "2h"), ("press-8", None, None), ("press-7", "B1", "1d")],
+)
+@pytest.mark.parametrize("instants", [1, 7, 100, 10**6])
+def test_estimates_in_pieces_are_those_of_one_answer(
+    ages: Path, rig: str | None, parameter: str | None, since: str | None, instants: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(queries, "INSTANTS_READ", max(instants, 40))
+    whole = queries.estimates(ages, rig, parameter, since)
+    assert len({row["span_s"] for row in whole}) > 1
+    assert list(queries.each_estimate(ages, rig, parameter, since, None)) == whole
+    assert queries.newest_estimates(ages, rig, parameter, since, None, instants) == whole[-instants:]
+
+
+def test_newest_estimates_and_those_one_by_one_read_little_at_a_time(
+    ages: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queries, "INSTANTS_READ", 50)
+    read: list[int] = []
+    plain = queries.view_rows
+
+    def counted(*arguments: Any, **named: Any) -> queries.Rows:
+        rows = plain(*arguments, **named)
+        read.append(len(rows))
+        return rows
+
+    monkeypatch.setattr(queries, "view_rows", counted)
+    assert len(queries.newest_estimates(ages, None, None, None, None, 40)) == 40
+    assert sum(read) <= 2 * 40 * 4  # of each rig 40 instants of four parameters
+    assert len(list(queries.each_estimate(ages, None, None, None, None))) > 4000
+    assert max(read) <= 3 * 50 * 4  # of each tier so many instants
+
+
+def test_estimates_one_by_one_refuse_an_unknown_parameter_before_the_first(ages: Path) -> None:
+    with pytest.raises(UsageError, match="k9"):
+        next(queries.each_estimate(ages, None, "k9", None, None))

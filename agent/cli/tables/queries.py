@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.cli.tables.results import verdict
-from agent.cli.terminal.output import print_rows, print_table
+from agent.cli.terminal.output import print_csv, print_rows, print_table
 from agent.cli.tuning import TABLE_ROWS
 from agent.storage.read import queries
 from agent.text import interval, number, short_time, with_sd
@@ -29,8 +29,13 @@ def estimates(
     db: Path, rig: str | None, parameter: str | None, since: str | None, until: str | None, form: str
 ) -> None:
     """Print a file's estimates. Raises StoreError; UsageError for a senseless rig, parameter or time."""
-    rows = queries.estimates(db, rig, parameter, since, until)
-    _print(rows, "rows", ESTIMATE_COLUMNS, form, _print_estimate_table)
+    if form == "csv":
+        print_csv(ESTIMATE_COLUMNS, queries.each_estimate(db, rig, parameter, since, until))
+    elif form == "json":
+        rows = queries.estimates(db, rig, parameter, since, until)
+        print_rows("rows", ESTIMATE_COLUMNS, rows, form, rows.refused)
+    else:
+        _print_estimate_table(queries.newest_estimates(db, rig, parameter, since, until, TABLE_ROWS + 1))
 
 
 def records(db: Path, rig: str | None, form: str) -> None:
@@ -62,9 +67,7 @@ def _print_estimate_table(rows: Sequence[Row]) -> None:
     cells = (_estimate_cells(row)[skip:] for row in rows[-TABLE_ROWS:])
     print_table("", columns[skip:], cells, right={"value ± sd", "95 %", "change"})
     if len(rows) > TABLE_ROWS:
-        sys.stderr.write(
-            f"the newest {TABLE_ROWS} of {len(rows)} rows; --csv and --json give all, --since fewer\n"
-        )
+        sys.stderr.write(f"the newest {TABLE_ROWS} rows; --csv and --json give all, --since fewer\n")
 
 
 def _estimate_cells(row: Row) -> tuple[str, ...]:

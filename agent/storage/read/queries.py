@@ -2,14 +2,16 @@
 """Read-only questions to a database, answered in the columns of its views."""
 
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from agent.errors import UsageError
 from agent.storage.database.connect import Reader
 from agent.storage.read.complete import oldest_hop, prove_count, prove_newest
-from agent.storage.read.proof import FIRST, LAST, proven, row_of
+from agent.storage.read.instants import Asked, newest_instants, oldest_instants
+from agent.storage.read.proof import FIRST, LAST, prove_listed, proven, row_of
 from agent.storage.read.selection import (
     Stretch,
     check_parameter,
@@ -19,6 +21,7 @@ from agent.storage.read.selection import (
     rigs_of,
     stretches_of,
 )
+from agent.storage.tuning import INSTANTS_READ
 
 
 class Rows(list[dict[str, Any]]):
@@ -50,26 +53,70 @@ def estimates(
         StoreError: the file; UsageError: an unknown rig or parameter, no time, or more instants than may be.
     """
     with reading(db) as connection:
-        found: list[tuple[int, dict[str, Any]]] = []
-        for name in chosen_rigs(connection, rig):
-            condition, values = _where(rig=name, parameter=parameter)
-            stretches = stretches_of(connection, name, since, until)[0]
-            _check_count(connection, stretches, most)
-            first_hop = oldest_hop(connection, stretches)
-            own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
-            for stretch in stretches:
-                part, shift, first, last = stretch
-                refused = connection.refused
-                rows = view_rows(
-                    connection, "v_estimates", own, (*values, part, first, last), first_hop=first_hop
-                )
-                prove_count(connection, stretch, rows, connection.refused - refused, parameter)
-                found += [(row["t_ns"] + shift, row) for row in rows]
-        check_parameter(connection, rig, parameter)
-        found.sort(key=lambda pair: (pair[0], pair[1]["rig"]))
-        rows = Rows(row for _, row in found)
+        asked = _asked(connection, rig, parameter, since, until)
+        for own in asked.values():
+            _check_count(connection, own, most)
+        rows = _estimates(connection, asked, parameter)
         rows.refused = connection.refused
     return rows
+
+
+def newest_estimates(
+    db: Path | str, rig: str | None, parameter: str | None, since: str | None, until: str | None, count: int
+) -> Rows:
+    """Return the newest `count` rows of `estimates`, and no others from the file, which may hold a year."""
+    with reading(db) as connection:
+        asked: Asked = _asked(connection, rig, parameter, since, until)
+        rows = Rows()
+        instants = count
+        while len(rows) < count and any(asked.values()):
+            newer, asked = newest_instants(connection, asked, instants)
+            rows[:0] = _estimates(connection, newer, parameter)
+            instants *= 4  # those that came had no rows to show
+        rows.refused = connection.refused
+        del rows[: max(0, len(rows) - count)]
+    return rows
+
+
+def each_estimate(
+    db: Path | str, rig: str | None, parameter: str | None, since: str | None, until: str | None
+) -> Iterator[dict[str, Any]]:
+    """Give the rows of `estimates` one after the other, however many there are; few are held at a time."""
+    with reading(db) as connection:
+        asked: Asked = _asked(connection, rig, parameter, since, until)
+        prove_listed(connection, "hops", oldest_hop(connection, chain.from_iterable(asked.values())))
+        while any(asked.values()):
+            older, asked = oldest_instants(connection, asked, INSTANTS_READ)
+            yield from _estimates(connection, older, parameter)
+
+
+def _asked(
+    connection: Reader, rig: str | None, parameter: str | None, since: str | None, until: str | None
+) -> dict[str, list[Stretch]]:
+    """Return the stretches asked for of each rig."""
+    names = chosen_rigs(connection, rig)
+    asked = {name: stretches_of(connection, name, since, until)[0] for name in names}
+    check_parameter(connection, rig, parameter)
+    return asked
+
+
+def _estimates(connection: Reader, asked: Asked, parameter: str | None) -> Rows:
+    """Return the rows of some rigs' stretches by time."""
+    found: list[tuple[int, dict[str, Any]]] = []
+    for name, stretches in asked.items():
+        condition, values = _where(rig=name, parameter=parameter)
+        first_hop = oldest_hop(connection, stretches)
+        own = f"{condition} AND {row_of('r')} = ? AND t_ns BETWEEN ? AND ?"
+        for stretch in stretches:
+            part, shift, first, last = stretch
+            refused = connection.refused
+            rows = view_rows(
+                connection, "v_estimates", own, (*values, part, first, last), first_hop=first_hop
+            )
+            prove_count(connection, stretch, rows, connection.refused - refused, parameter)
+            found += [(row["t_ns"] + shift, row) for row in rows]
+    found.sort(key=lambda pair: (pair[0], pair[1]["rig"]))
+    return Rows(row for _, row in found)
 
 
 def _check_count(connection: sqlite3.Connection, stretches: Sequence[Stretch], most: int | None) -> None:

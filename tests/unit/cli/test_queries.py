@@ -173,7 +173,7 @@ def test_estimates_table_shows_the_newest_and_says_so(db: Path, capsys: pytest.C
     estimates(db, None, None, None, None, "table")
     out, err = capsys.readouterr()
     assert out.count("press-") == TABLE_ROWS
-    assert f"the newest {TABLE_ROWS} of {4 * ROWS} rows" in err
+    assert f"the newest {TABLE_ROWS} rows; --csv" in err
     assert "2026-02-02 02:40:09.950Z" in out
 
 

@@ -42,6 +42,7 @@ LIVELY = 1e-3  # damping ratio above which a mode that oscillates counts as one 
 HELD_TIMES = 3  # times between readings for which the last one stands
 PRESENT = 0.5  # share of the periods with rows in which a covariate must be known
 EDGES = (0.005, 0.995)  # quantiles of what was learnt, and of a history whose range nothing states
+ROWS_TRIED = 5000  # rows that limits are tried on at a time: 10 MB
 LEAST_PERIODS = 24  # periods that a baseline needs: the spread of fewer is known to no better than a fifth
 DOUBTFUL_PERIODS = 5.0  # independent periods below which what was learnt may be a drift
 RESOLVE = 0.33  # what `estimator.resolve` is by default

@@ -5,8 +5,8 @@ and one a `store.every_s` elsewhere; aggregates raise nothing. Changes are count
 stands.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from agent.blocks.level_alarms import LevelAlarms
 from agent.blocks.rig_model import estimated
 from agent.commissioning.baseline.target import target_of
-from agent.commissioning.tuning import NEAR_NS
+from agent.commissioning.tuning import NEAR_NS, ROWS_TRIED
 from agent.config import Alarm, RigConfig, load
 from agent.errors import UsageError
 from agent.records import Baseline
@@ -45,11 +45,16 @@ def tried(place: Path, rig: str | None, file: Path, since: str | None, until: st
     would: list[dict[str, Any]] = []
     rows = 0
     for rule in rules:
-        history = queries.estimates(target.db, target.rig, rule.parameter, since, until)
-        full = [row for row in history if row["span_s"] == 0 and row["window_s"] is not None]
-        _check_unit(config, rule, full)
-        rows += len(full)
-        would += _activations(_decided(config, rule, full, known.get(rule.parameter)))
+        asked = target.db, target.rig, rule.parameter, since, until
+        _check_unit(config, rule, queries.newest_estimates(*asked, 1))
+        history = queries.each_estimate(*asked)
+        full = (row for row in history if row["span_s"] == 0 and row["window_s"] is not None)
+        alarms = LevelAlarms(config.rig.name, [rule], config.rig.sample_rate_hz)
+        steps: list[AlarmTransition] = []
+        for part in _batches(config, rule, full, known.get(rule.parameter)):
+            rows += len(part.index)
+            steps += alarms.step(part)
+        would += _activations(steps)
     were = [row for row in queries.alarms(target.db, target.rig) if row["kind"] == "level"]
     stored = [_stored(row) for row in were]
     return {
@@ -68,17 +73,17 @@ def _check_unit(config: RigConfig, rule: Alarm, rows: Sequence[Row]) -> None:
         raise UsageError.at(config.file, what, "try the limits of a configuration of the same machine")
 
 
-def _decided(
-    config: RigConfig, rule: Alarm, rows: Sequence[Row], baseline: Baseline | None
-) -> Iterator[AlarmTransition]:
-    """Yield the steps of an alarm over rows in order of time."""
-    alarms = LevelAlarms(config.rig.name, [rule], config.rig.sample_rate_hz)
+def _batches(
+    config: RigConfig, rule: Alarm, rows: Iterable[Row], baseline: Baseline | None
+) -> Iterator[EstimateBatch]:
+    """Give rows in order of time as the alarm takes them, few at a time."""
 
     def header(row: Row) -> tuple[Any, ...]:
         return row["run_id"], row["method"], row["unit"], row["reference"]
 
     for key, part in groupby(rows, key=header):
-        yield from alarms.step(_batch(list(part), key, config, rule, baseline))
+        while some := list(islice(part, ROWS_TRIED)):
+            yield _batch(some, key, config, rule, baseline)
 
 
 def _batch(
@@ -119,7 +124,7 @@ def _dof(half: FloatArray, sd: FloatArray) -> FloatArray:
     return np.asarray(np.interp(ratio, quantile[::-1], table[::-1]))
 
 
-def _activations(steps: Iterator[AlarmTransition]) -> list[dict[str, Any]]:
+def _activations(steps: Iterable[AlarmTransition]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for step in steps:
         if step.to_state == "UNACK":

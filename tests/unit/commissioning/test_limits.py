@@ -12,6 +12,7 @@ import pytest
 
 from agent.cli.app import app
 from agent.cli.terminal.errors import guarded
+from agent.commissioning.baseline import tried
 from agent.commissioning.baseline.limits import limit_warnings
 from agent.commissioning.baseline.written import with_limits
 from agent.commissioning.check import check
@@ -187,9 +188,11 @@ def test_check_warns_of_a_limit_under_what_the_spread_allows(
     assert list(limit_warnings(load(config))) == []
 
 
+@pytest.mark.parametrize("at_a_time", [5000, 7])
 def test_try_says_which_alarms_other_limits_would_have_raised(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, at_a_time: int
 ) -> None:
+    monkeypatch.setattr(tried, "ROWS_TRIED", at_a_time)
     config = machine(tmp_path, loss=5.0)
     other = tmp_path / "other.toml"
     text = config.read_text(encoding="utf-8")

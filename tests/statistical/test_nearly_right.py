@@ -29,6 +29,7 @@ def test_nearly_right_configuration_gives_valid_rows_that_hold(
     hold(name, CASES[name], found, 0.5)
 
 
+@pytest.mark.soak
 def test_window_whose_noise_is_looked_for_anew_gives_no_verdict() -> None:
     """Of a window alone a delay was believed (0.92) that the next ones refute."""
     assert play("drift under an unknown force", 5001, FULL_WINDOWS).largest.get("delay", 0.0) < 0.5

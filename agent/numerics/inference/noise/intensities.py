@@ -138,6 +138,7 @@ class Scan:
         M[:, self.ends, self.ends] += ends
         # where the source would drown everything the rank-one change has no digits left
         drowned = bare | (grams[:, -1, -1] < DROWNED * fit.G[-1, -1])
+        drowned |= (M.diagonal(axis1=1, axis2=2) < 0).any(axis=1)
         M[drowned] = self.one
         d = 1.0 / np.sqrt(np.maximum(M.diagonal(axis1=1, axis2=2), 1e-300))
         M *= d[:, :, None]

@@ -2,6 +2,8 @@
 
 import tracemalloc
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,3 +67,28 @@ def test_scan_of_a_window_with_lost_readings_holds_no_table_of_all_pairs_of_colu
     assert columns > 120
     # a few Grams a node, and a few copies of the columns; pairs of columns in each cell would be 50 MB more
     assert peak < 8 * (8 * nodes * columns**2 + 16 * cells * columns)
+
+
+def scan_that_leaves(left: float) -> Scan:
+    """A window of one bin and one column, of which a source as strong as the second node leaves so much."""
+    shown = 1e26
+    cells: Any = SimpleNamespace(
+        kept=1, weight=np.ones(1), spectra=np.ones((1, 1)), D=np.ones((1, 1, 1), dtype=complex)
+    )
+    fit: Any = SimpleNamespace(
+        cells=cells, layout=SimpleNamespace(base=1, ends=slice(0, 0)), intensity=np.zeros(1),
+        Si=np.ones((1, 1, 1), dtype=complex), X=np.array([[[np.sqrt(2 * shown), 1.0]]], dtype=complex),
+        high=SimpleNamespace(R=np.zeros((0, 1, 1))), G=np.diag([shown * (1 + left), 1e3]),
+        prior=np.zeros((2, 2)), ends=SimpleNamespace(precision=lambda intensity: np.ones((len(intensity), 0))),
+    )  # fmt: skip
+    nodes = np.array([[0.0, 1.0]])
+    return Scan(fit, np.zeros((1, 2)), nodes, every=True, pred=None)
+
+
+def test_node_that_leaves_less_than_nothing_of_a_column_has_no_digits() -> None:
+    """Of a column's power 1e26 the change takes all but a part in 1e12, or as much more by rounding."""
+    with np.errstate(all="raise"):
+        gain, node = scan_that_leaves(1e-12).best(0)
+        assert node in {0.0, 1.0}
+        assert np.isfinite(gain)
+        assert scan_that_leaves(-1e-12).best(0) == (0.0, 0.0)

@@ -80,16 +80,19 @@ class Chain:
     def motion(
         self, forces: FloatArray, masses: Sequence[float] = (), hold: Hold = "first",
         thetas: Sequence[tuple[int, FloatArray]] = (), rate_hz: float = 0.0,
+        loads: Sequence[tuple[int, Sequence[float]]] = (),
     ) -> FloatArray:  # fmt: skip
         """Readings (N, p) without noise under forces (N, masses), of a rig at rest at first.
 
-        masses: the true ones; thetas: (sample, parameters) from which each set holds; rate_hz: of the forces.
+        masses: the true ones; thetas: (sample, parameters) from which each set holds; loads: the same of
+        masses; rate_hz: of the forces.
         """
-        true = list(masses) or list(self.masses)
-        sets = list(thetas) or [(0, self.theta)]
-        graph, state, out = self.graph, np.zeros(2 * len(true)), []
-        stops = [at for at, _ in sets[1:]] + [len(forces) - 1]
-        for (start, theta), stop in zip(sets, stops, strict=True):
+        sets = dict(thetas) or {0: self.theta}
+        heavy = {0: list(masses) or list(self.masses)} | {at: list(load) for at, load in loads}
+        graph, state, out = self.graph, np.zeros(2 * len(self.masses)), []
+        starts = sorted({*sets, *heavy})
+        for start, stop in zip(starts, [*starts[1:], len(forces) - 1], strict=True):
+            theta, true = (known[max(at for at in known if at <= start)] for known in (sets, heavy))
             values = dict(zip(self.names, theta.tolist(), strict=True)) | {
                 f"m{i + 1}": m for i, m in enumerate(true)
             }

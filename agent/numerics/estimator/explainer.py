@@ -457,21 +457,35 @@ class Explainer:
         self.schedule.follow(newest)
 
     def _explain_otherwise(self, record: Record, newest: int) -> bool:
-        """Explain a window no other parameters fit by springs that harden, by lines, or by other noise."""
+        """Explain a window no other parameters fit: springs that harden, lines, constants, other noise."""
         disturbance, length = self.disturbance, self.settings.plan.window
         window, posterior = self._last
         if self.faults.standing is not None:  # it is looked at again a window later
             disturbance.wait(newest + length)
-        if self.faults.is_active or not posterior.converged:
+        if self.faults.is_active:
             return False
         if self._hardens > 0 and self._springs(record, newest):
             return True
         lasts = LASTS if posterior.jumps_once else 1.0
         if self._since(newest) < lasts * length or self._runs_on(window, newest):
             return False
-        if self._springs(record, newest):
+        if self._switches(record, newest) or (posterior.converged and self._springs(record, newest)):
             return True
-        return self._relearn(record, window, posterior, newest, jumps=self._may_jump(posterior, newest))
+        may_jump = self._may_jump(posterior, newest)
+        return posterior.converged and self._relearn(record, window, posterior, newest, jumps=may_jump)
+
+    def _switches(self, record: Record, newest: int) -> bool:
+        """Explain a broken window behind its onset by constants that changed: a mass that is loaded."""
+        known, onset = self.known, self.disturbance.onset
+        assert known is not None  # noqa: S101 - known since the first window
+        if onset is not None and self._ran_at >= onset:  # it is parameters that change, and go on to
+            return False
+        window = self.window(record, newest, as_read=True)[0]
+        said, learnt = self.learner.switched(window, known, max(self._later(newest), 1.0))
+        if not said.holds:
+            return False
+        self._take(record, window, said, replace(learnt, scatter=learnt.scatter.interrupted()), newest)
+        return True
 
     def _springs(self, record: Record, newest: int) -> bool:
         """Explain a window by springs that harden, a window after onset: what jumped is behind then."""

@@ -23,6 +23,7 @@ GROUPS: tuple[tuple[Kind, str], ...] = (
     ("input", "all inputs"),
 )
 
+NONE = np.zeros(0, dtype=np.int64)
 APART: tuple[Kind, ...] = ("delay", "cubic")
 """Kinds that are no scales: neither masses nor gains."""
 
@@ -347,8 +348,7 @@ class Constants:
 
     def believes(self, which: IntArray) -> bool:
         """Whether a hypothesis stands that has any of some constants, by their numbers, off."""
-        standing = (h for h, stands in zip(self.hypotheses, self.stands.tolist(), strict=True) if stands)
-        return any(off.members[which].any() for h in standing for off in h.off)
+        return bool((self.stands & self._off(which)).any())
 
     @cached_property
     def standing(self) -> tuple[FloatArray, FloatArray]:
@@ -375,17 +375,17 @@ class Constants:
         first = Constants.prior(self.hypotheses)
         return replace(self.after(windows), weight=stays * self.weight + (1 - stays) * first.weight)
 
-    def switching(self, windows: float, said: Information) -> Update:
+    def switching(self, windows: float, said: Information, shut: IntArray = NONE) -> Update:
         """Return the update by a window so many after the last, over which hypotheses may switch.
 
         Each is weighed as it stayed and as it was switched to: it begins with its prior, and pays for how
-        wide that is before its odds count.
+        wide that is before its odds count. shut: constants, by their numbers, that do not begin to be off.
         """
         stays = (1 - tuning.SWITCH) ** windows
         stayed = self.after(windows)
         begun = self._begun
         return Update(
-            np.concatenate([stays * stayed.weight, (1 - stays) * begun.weight]),
+            np.concatenate([stays * stayed.weight, (1 - stays) * begun.weight * ~self._off(shut)]),
             np.concatenate([stayed.mean, begun.mean]),
             np.concatenate([stayed.covariance, begun.covariance]),
             said,
@@ -430,13 +430,17 @@ class Constants:
         moved = variance * _squares(drifting) - _squares(start)
         return replace(first, mean=(share @ mean)[:, None] * drifting, covariance=first.covariance + moved)
 
+    def _off(self, which: IntArray) -> BoolArray:
+        """(h,) hypotheses that have any of some constants, by their numbers, off."""
+        return np.array([any(o.members[which].any() for o in h.off) for h in self.hypotheses], dtype=bool)
+
     def refused(self, which: IntArray) -> "Constants":
         """Return the same where nothing by which any of some constants is off is likelier than at first.
 
         What was begins anew.
         """
         first = Constants.prior(self.hypotheses)
-        off = np.array([any(o.members[which].any() for o in h.off) for h in self.hypotheses], dtype=bool)
+        off = self._off(which)
         anew = off & (self.weight > first.weight)
         if not anew.any() or off.all():
             return self

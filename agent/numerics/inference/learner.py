@@ -294,6 +294,27 @@ class Learner:
         at = self.lineariser.linearised(window, known, known.noise.is_started, steps)
         return self._posterior(at, known, known.constants), at
 
+    def switched(self, window: Window, known: Knowledge, later: float) -> tuple[Posterior, Knowledge]:
+        """Return what a window says if other constants have become true since, and what is known then.
+
+        The noise is as it was: it explains such a window where that is straight, and no other. Springs do not
+        begin to harden. later: windows since the one before it that was learnt from.
+        """
+        opened = replace(_of(window, known), constants=Constants.prior(self.hypotheses))
+        there = self.continuation.of(window, opened)
+        for _ in range(tuning.ROUNDS):
+            at = self.lineariser.linearised(window, there, jumps=False)
+            said = self._information(at, there)
+            update = known.constants.switching(later, said, shut=self.rig.of_kind("cubic"))
+            constants = known.constants.switched(update)
+            expected = self.lineariser.expected(constants)
+            moved = np.abs(expected - there.eta) > self.lineariser.eta_tolerance()
+            there = replace(there, theta=at.theta, eta=expected, constants=constants)
+            if not moved.any():
+                break
+        posterior, at = self.solve(window, there)
+        return posterior, replace(self.moved_to(at, there, same=False), place=None)
+
     def moved_to(self, at: Linearised, known: Knowledge, same: bool) -> Knowledge:
         """Return what is known with its point where a window came to rest, and the bins it kept.
 

@@ -124,6 +124,19 @@ def test_constants_refuted_hypothesis_comes_back_with_its_prior() -> None:
     assert later.weight == pytest.approx(told.predicted().weight)
 
 
+def test_constants_that_are_shut_do_not_begin_to_be_off_and_others_do() -> None:
+    prior = Constants.prior(hypotheses_of(CONSTANTS))
+    sure = Constants(prior.hypotheses, np.eye(len(prior.weight))[0], prior.mean, prior.covariance)
+    said = straight(np.diag([1e8] * 3), np.array([8e6, 0.0, 0.0]), np.zeros(3))  # m1 is 8 % off
+    off = np.array([h.name == "m1" for h in prior.hypotheses])
+    every = sure.switched(sure.switching(1.0, said))
+    shut = sure.switched(sure.switching(1.0, said, shut=np.array([0])))
+    assert every.weight[off].sum() > 0.9
+    assert shut.weight[[members(h)[0] > 0 for h in prior.hypotheses]].max() < 1e-200
+    other = sure.switched(sure.switching(1.0, said, shut=np.array([1])))
+    assert other.weight[off].sum() > 0.9
+
+
 def test_gain_that_begins_to_drift_after_long_is_said_to_drift_at_once() -> None:
     """By two tenths of a percent a window, from 4 % off, where each window knows it to 0.02 %."""
     rng = np.random.default_rng(5)

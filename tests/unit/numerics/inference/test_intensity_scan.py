@@ -79,7 +79,7 @@ def scan_that_leaves(left: float) -> Scan:
         cells=cells, layout=SimpleNamespace(base=1, ends=slice(0, 0)), intensity=np.zeros(1),
         Si=np.ones((1, 1, 1), dtype=complex), X=np.array([[[np.sqrt(2 * shown), 1.0]]], dtype=complex),
         high=SimpleNamespace(R=np.zeros((0, 1, 1))), G=np.diag([shown * (1 + left), 1e3]),
-        prior=np.zeros((2, 2)), ends=SimpleNamespace(precision=lambda intensity: np.ones((len(intensity), 0))),
+        prior=np.zeros((2, 2)), ends=SimpleNamespace(precision=lambda each: np.ones((len(each), 0))),
     )  # fmt: skip
     nodes = np.array([[0.0, 1.0]])
     return Scan(fit, np.zeros((1, 2)), nodes, every=True, pred=None)

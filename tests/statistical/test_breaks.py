@@ -48,7 +48,7 @@ def test_masses_that_are_loaded_are_named_and_no_parameter_alarmed_on_random_rig
         f"a mass becomes {to[0]:g} to {to[1]:g} times itself, {FULL} rigs: {named} named, "
         f"{len(missed)} not as they are to be: {missed}",
     )
-    assert len(missed) <= 0.05 * FULL
+    assert len(missed) <= 0.1 * FULL
 
 
 @pytest.mark.soak

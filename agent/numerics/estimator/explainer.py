@@ -76,6 +76,8 @@ class Explainer:
         self._adopted = False
         self._learnt_at = 0
         self._counted = 0
+        self._each = samples_an_evaluation(window, settings.rig.period_s)
+        self._aside = 0  # evaluations of a try that are bounded by how seldom they are done
         self._owed = False  # a window that was due to be learnt from waits for the budget
         self._moves = False  # the newest window looked at holds parameters that run on
         self._hardens = -np.inf  # log odds of springs that do, against changes, in the window last solved
@@ -280,8 +282,7 @@ class Explainer:
         """Take what was evaluated since it began, and `least` at the least, out of the budget."""
         self.learner.lineariser.most = np.inf
         done = self.learner.lineariser.evaluations
-        each = samples_an_evaluation(self.settings.plan.window, self.settings.rig.period_s)
-        self.budget.spend(max(done - self._counted, least, 0) * each)
+        self.budget.spend(max(done - self._counted, least, 0) * self._each)
         self._counted = done
 
     def _is_elsewhere(self, reading: Reading, i: int, posterior: Posterior) -> bool:
@@ -403,12 +404,13 @@ class Explainer:
         disturbance.tried(newest, length)
         if not self._may_begin(newest):
             return False
-        before = self.budget.left
+        before, self._aside = self.budget.left, 0
         runs_on = self._moves and self._runs_on(self.window(record, newest)[0], newest)
         moved = not runs_on and self._explained(record, newest)
         self._pay()
         if not moved and newest not in self.lines:
-            share = min((before - self.budget.left) / before, 1.0)
+            took = before - self.budget.left - self._aside * self._each
+            share = min(took / before, 1.0)
             disturbance.missed(newest, length, share, converged=self._last[1].converged)
         return moved
 
@@ -457,9 +459,9 @@ class Explainer:
         self.schedule.follow(newest)
 
     def _explain_otherwise(self, record: Record, newest: int) -> bool:
-        """Explain a window no other parameters fit: springs that harden, lines, constants, other noise."""
+        """Explain a window that no other parameters fit by something else; soon only by springs that harden."""
         disturbance, length = self.disturbance, self.settings.plan.window
-        window, posterior = self._last
+        posterior = self._last[1]
         if self.faults.standing is not None:  # it is looked at again a window later
             disturbance.wait(newest + length)
         if self.faults.is_active:
@@ -467,22 +469,35 @@ class Explainer:
         if self._hardens > 0 and self._springs(record, newest):
             return True
         lasts = LASTS if posterior.jumps_once else 1.0
-        if self._since(newest) < lasts * length or self._runs_on(window, newest):
+        return self._since(newest) >= lasts * length and self._explain_lasting(record, newest)
+
+    def _explain_lasting(self, record: Record, newest: int) -> bool:
+        """Explain a window whose change is behind it by lines, constants, springs that harden, other noise."""
+        window, posterior = self._last
+        if not posterior.converged:
+            return self._switches(record, newest)
+        if self._runs_on(window, newest):
             return False
-        if self._switches(record, newest) or (posterior.converged and self._springs(record, newest)):
+        if self._switches(record, newest) or self._springs(record, newest):
             return True
-        may_jump = self._may_jump(posterior, newest)
-        return posterior.converged and self._relearn(record, window, posterior, newest, jumps=may_jump)
+        if self._aside:  # the next try looks at the noise
+            return False
+        return self._relearn(record, window, posterior, newest, jumps=self._may_jump(posterior, newest))
 
     def _switches(self, record: Record, newest: int) -> bool:
         """Explain a broken window behind its onset by constants that changed: a mass that is loaded."""
         known, onset = self.known, self.disturbance.onset
         assert known is not None  # noqa: S101 - known since the first window
-        if onset is not None and self._ran_at >= onset:  # it is parameters that change, and go on to
+        went_on = onset is not None and self._ran_at >= onset
+        if went_on or self._last[1].beyond_jump <= tuning.MISMATCH_SD:  # parameters changed
+            return False
+        if not self.disturbance.may_switch(newest, self.settings.plan.window):
             return False
         window = self.window(record, newest, as_read=True)[0]
+        evaluated = self.learner.lineariser.evaluations
         said, learnt = self.learner.switched(window, known, max(self._later(newest), 1.0))
         if not said.holds:
+            self._aside = self.learner.lineariser.evaluations - evaluated
             return False
         self._take(record, window, said, replace(learnt, scatter=learnt.scatter.interrupted()), newest)
         return True

@@ -73,17 +73,32 @@ class Schedule:
 
 @dataclass(slots=True)
 class Disturbance:
-    """A stretch of broken rows: since which sample, None outside one; `again`: the sample of the next try."""
+    """A stretch of broken rows: since which sample, None outside one; `again`: the sample of the next try.
+
+    switches: samples after the onset from which on it is asked whether constants switched.
+    """
 
     onset: int | None = None
     again: int = -(1 << 60)
+    switches: int = 0
     ended: int = -(1 << 60)
     changed: int = -(1 << 60)
 
     def at(self, index: int) -> None:
         """Note a broken row."""
         if self.onset is None:
-            self.onset = index
+            self.onset, self.switches = index, 0
+
+    def may_switch(self, index: int, window: int) -> bool:
+        """Return whether it is time to ask whether constants switched: each time after as long again.
+
+        So a stretch of any length costs few of such tries, which take more than others.
+        """
+        lasts = 0 if self.onset is None else index - self.onset
+        if lasts < max(window, self.switches):
+            return False
+        self.switches = 2 * lasts
+        return True
 
     def changes_again(self, index: int, window: int) -> bool:
         """Note that parameters changed; return whether they do soon after another change."""

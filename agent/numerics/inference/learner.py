@@ -302,8 +302,13 @@ class Learner:
         """
         opened = replace(_of(window, known), constants=Constants.prior(self.hypotheses))
         there = self.continuation.of(window, opened)
-        for _ in range(tuning.ROUNDS):
+        for turn in range(tuning.ROUNDS):
             at = self.lineariser.linearised(window, there, jumps=False)
+            found = self._posterior(at, there, there.constants)
+            strays = np.any(np.abs(at.theta - there.theta) > tuning.LONGEST_STEP * at.unit)
+            # it is straight nowhere near
+            if not at.converged and (strays or (found.mismatch and not turn)):
+                return found, known
             said = self._information(at, there)
             update = known.constants.switching(later, said, shut=self.rig.of_kind("cubic"))
             constants = known.constants.switched(update)

@@ -459,7 +459,7 @@ class Explainer:
         self.schedule.follow(newest)
 
     def _explain_otherwise(self, record: Record, newest: int) -> bool:
-        """Explain a window that no other parameters fit by something else; soon only by springs that harden."""
+        """Explain a window that no other parameters fit: soon, by springs that harden only."""
         disturbance, length = self.disturbance, self.settings.plan.window
         posterior = self._last[1]
         if self.faults.standing is not None:  # it is looked at again a window later
@@ -472,7 +472,7 @@ class Explainer:
         return self._since(newest) >= lasts * length and self._explain_lasting(record, newest)
 
     def _explain_lasting(self, record: Record, newest: int) -> bool:
-        """Explain a window whose change is behind it by lines, constants, springs that harden, other noise."""
+        """Explain a window behind a change by lines, constants, springs that harden, or other noise."""
         window, posterior = self._last
         if not posterior.converged:
             return self._switches(record, newest)

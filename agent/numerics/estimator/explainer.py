@@ -37,6 +37,7 @@ from agent.numerics.estimator.tuning import (
     MOVING,
     POORER,
     REFILLS,
+    SWITCHES,
     VERDICT_WINDOWS,
     WHOLE,
 )
@@ -472,17 +473,16 @@ class Explainer:
         return self._since(newest) >= lasts * length and self._explain_lasting(record, newest)
 
     def _explain_lasting(self, record: Record, newest: int) -> bool:
-        """Explain a window behind a change by lines, constants, springs that harden, or other noise."""
+        """Explain a window behind a change by lines, springs that harden, other noise, or constants."""
         window, posterior = self._last
         if not posterior.converged:
             return self._switches(record, newest)
         if self._runs_on(window, newest):
             return False
-        if self._switches(record, newest) or self._springs(record, newest):
+        if self._springs(record, newest):
             return True
-        if self._aside:  # the next try looks at the noise
-            return False
-        return self._relearn(record, window, posterior, newest, jumps=self._may_jump(posterior, newest))
+        jumps = self._may_jump(posterior, newest)
+        return self._relearn(record, window, posterior, newest, jumps=jumps) or self._switches(record, newest)
 
     def _switches(self, record: Record, newest: int) -> bool:
         """Explain a broken window behind its onset by constants that changed: a mass that is loaded."""
@@ -495,6 +495,7 @@ class Explainer:
             return False
         window = self.window(record, newest, as_read=True)[0]
         evaluated = self.learner.lineariser.evaluations
+        self.learner.lineariser.most = evaluated + SWITCHES
         said, learnt = self.learner.switched(window, known, max(self._later(newest), 1.0))
         if not said.holds:
             self._aside = self.learner.lineariser.evaluations - evaluated

@@ -61,6 +61,7 @@ next: a spring that gives way within one and a half windows is found while somet
 LASTS = 1.5  # windows that one change is in the way at the most; what lasts longer may be forces that began
 BURST = 720  # evaluations that may follow one another: a step and its aftermath
 FIRST = 192  # evaluations besides, once: the first windows, which take six each where the model fits
+SWITCHES = 80  # evaluations for asking whether constants switched: it takes 40 to 60 where they did
 LONGEST = 200  # evaluations after which what was begun goes no further down: solves that fit take 3 to 10
 SAMPLES_AN_EVALUATION = 512  # samples that pay for one evaluation: bounds the cost where nothing fits
 SECONDS_AN_EVALUATION = 0.512

@@ -318,7 +318,7 @@ class Learner:
             if not moved.any():
                 break
         posterior, at = self.solve(window, there)
-        return posterior, replace(self.moved_to(at, there, same=False), place=None)
+        return posterior, replace(self.moved_to(at, there, same=False), noise=known.noise, place=None)
 
     def moved_to(self, at: Linearised, known: Knowledge, same: bool) -> Knowledge:
         """Return what is known with its point where a window came to rest, and the bins it kept.

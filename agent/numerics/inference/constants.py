@@ -309,6 +309,12 @@ def _arrays(hypotheses: tuple[Hypothesis, ...]) -> _Arrays:
     )  # fmt: skip
 
 
+@lru_cache(maxsize=128)
+def _off(hypotheses: tuple[Hypothesis, ...], which: tuple[int, ...]) -> BoolArray:
+    """(h,) hypotheses that have any of some constants off, worked out once for each rig."""
+    return np.array([any(o.members[list(which)].any() for o in h.off) for h in hypotheses], dtype=bool)
+
+
 @dataclass(frozen=True)
 class Constants:
     """The Gaussian sum.
@@ -432,7 +438,7 @@ class Constants:
 
     def _off(self, which: IntArray) -> BoolArray:
         """(h,) hypotheses that have any of some constants, by their numbers, off."""
-        return np.array([any(o.members[which].any() for o in h.off) for h in self.hypotheses], dtype=bool)
+        return _off(self.hypotheses, tuple(which.tolist()))
 
     def refused(self, which: IntArray) -> "Constants":
         """Return the same where nothing by which any of some constants is off is likelier than at first.

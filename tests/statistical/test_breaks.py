@@ -1,10 +1,11 @@
 """A spring that breaks is alarmed and followed, a mass that is loaded is named, on rigs drawn at random."""
 
+from collections.abc import Callable
 from functools import partial
 
 import pytest
 
-from tests.statistical.breaks import BROKEN, HEAVIER, LIGHTER, STIFFER, broken, loaded
+from tests.statistical.breaks import BROKEN, HEAVIER, LIGHTER, STIFFER, Changed, broken, loaded
 from tests.statistical.machine import each, say
 
 QUICK = ((980000, BROKEN), (980006, BROKEN), (980030, BROKEN), (980039, BROKEN), (980041, STIFFER))
@@ -39,8 +40,7 @@ def test_mass_that_is_loaded_is_named_and_no_parameter_alarmed(
 def test_masses_that_are_loaded_are_named_and_no_parameter_alarmed_on_random_rigs(
     to: tuple[float, float], request: pytest.FixtureRequest
 ) -> None:
-    seeds = range(998000, 998000 + FULL)
-    found = dict(zip(seeds, each(partial(loaded, to=to), seeds), strict=True))
+    found = _rigs(partial(loaded, to=to), 998000)
     named = sum(one.name in one.verdicts for one in found.values())
     missed = {seed: one for seed, one in found.items() if not one.met}
     say(
@@ -56,8 +56,7 @@ def test_masses_that_are_loaded_are_named_and_no_parameter_alarmed_on_random_rig
 def test_springs_that_break_are_alarmed_and_followed_on_random_rigs(
     left: tuple[float, float], request: pytest.FixtureRequest
 ) -> None:
-    seeds = range(990000, 990000 + FULL)
-    found = dict(zip(seeds, each(partial(broken, left=left), seeds), strict=True))
+    found = _rigs(partial(broken, left=left), 990000)
     beyond = [one for one in found.values() if one.beyond]
     alarmed = sum(one.name in one.alarms for one in beyond)
     missed = {seed: one for seed, one in found.items() if not one.met}
@@ -67,3 +66,9 @@ def test_springs_that_break_are_alarmed_and_followed_on_random_rigs(
         f"beyond their limits alarmed, {len(missed)} not as they are to be: {missed}",
     )
     assert len(missed) <= 0.05 * FULL
+
+
+def _rigs(play: Callable[[int], Changed], first: int) -> dict[int, Changed]:
+    """What is said of so many rigs, by their seeds."""
+    seeds = range(first, first + FULL)
+    return dict(zip(seeds, each(play, seeds), strict=True))

@@ -1,3 +1,4 @@
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -6,7 +7,9 @@ import pytest
 
 from agent.errors import UsageError
 from agent.storage.read import queries
+from agent.storage.read.instants import newest_instants, oldest_instants
 from agent.storage.read.points import points_of
+from agent.storage.read.selection import reading, stretches_of
 from agent.storage.read.times import age_ns, parse_time
 from agent.storage.write.retention import Retention
 from agent.storage.write.store import Store
@@ -181,6 +184,20 @@ def test_newest_estimates_and_those_one_by_one_read_little_at_a_time(
     assert sum(read) <= 2 * 40 * 4  # of each rig 40 instants of four parameters
     assert len(list(queries.each_estimate(ages, None, None, None, None))) > 4000
     assert max(read) <= 3 * 50 * 4  # of each tier so many instants
+
+
+@pytest.mark.parametrize("cut", [newest_instants, oldest_instants])
+def test_pieces_of_stretches_leave_nothing_out_and_have_nothing_twice(ages: Path, cut: Any) -> None:
+    with reading(ages) as connection:
+        asked = {rig: stretches_of(connection, rig, None, None)[0] for rig in ("press-7", "press-8")}
+        one, other = cut(connection, asked, 50)
+    assert any(one.values())
+    assert any(other.values())
+    for rig, stretches in asked.items():
+        for whole in stretches:
+            pieces = sorted(s for s in (*one[rig], *other[rig]) if s.part == whole.part)
+            assert (pieces[0].first, pieces[-1].last) == (whole.first, whole.last)
+            assert all(before.last + 1 == after.first for before, after in pairwise(pieces))
 
 
 def test_estimates_one_by_one_refuse_an_unknown_parameter_before_the_first(ages: Path) -> None:
